@@ -1,4 +1,4 @@
-"""Real logs, read into the same odometry and scans that the simulator gives."""
+"""Real logs, read into the odometry and scans that the simulator also produces."""
 
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.csv_log import from_csv

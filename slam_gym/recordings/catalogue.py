@@ -1,4 +1,4 @@
-"""Logs by name or file: what a command, a notebook or an environment takes for a recording."""
+"""The catalogue of logs: opens a recording by name or file, for commands, notebooks and environments."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from slam_gym.recordings.pose_graph import g2o, isam
 from slam_gym.recordings.recording import Recording, load
 
 PUBLISHED = {"victoria_park": _victoria_park.SOURCE, "mrclam": _mrclam.SOURCE, "dlr": _dlr.SOURCE}
-"""Public logs that can be asked for by name, and what to cite. Their files are the user's business."""
+"""Public logs that can be opened by name, and what to cite. Users must obtain their files themselves."""
 
 DATA = "SLAM_GYM_DATA"
-"""The environment variable that names the folder in which the folders `victoria_park`, `mrclam` and `dlr` lie."""
+"""The environment variable that names the folder that contains the folders `victoria_park`, `mrclam` and `dlr`."""
 
 
 def open_recordings(
     name: str | Path, data: str | Path | None = None, robots: Sequence[int] | None = None, *, reference: bool = False
 ) -> list[Recording]:
-    """The logs behind a name: one, or of MR.CLAM one for each robot (`robots`, default all) of each set.
+    """Open the logs of a name or file: one log, or for MR.CLAM one for each robot of each set.
 
     Arguments:
         name: `victoria_park`, `mrclam`, `dlr`, or a file: .csv (`from_csv`), .npz (`recordings/FORMAT.md`), .g2o, or
             .txt (iSAM).
-        data: folder of the published files; default: that of the same name in `SLAM_GYM_DATA`.
-        robots: of MR.CLAM.
-        reference: the vertices of a .g2o file are the truth.
+        data: folder of the published files; default: the folder of that name in `SLAM_GYM_DATA`.
+        robots: robots of MR.CLAM; default: all.
+        reference: whether the vertices of a .g2o file are the truth.
 
-    Raises FileNotFoundError that says what is missing, where to get it and what to cite; RecordingError for files that
-    are not what they should be; ValueError for a name that is neither.
+    Raises FileNotFoundError that says what is missing, where to get it and what to cite; RecordingError for invalid
+    files; ValueError for a name that is neither a public log nor a file of these types.
     """
     if str(name) == "victoria_park":
         return [_victoria_park.victoria_park(_folder(str(name), data))]
@@ -47,7 +47,7 @@ def open_recordings(
 
 
 def _folder(name: str, data: str | Path | None) -> Path:
-    """Where the published files are. FileNotFoundError says where to get them."""
+    """The folder of the published files. Raises FileNotFoundError that says where to get them."""
     if data is None and DATA not in os.environ:
         raise FileNotFoundError(
             f"recording {name!r}: its files are not part of this package. Get them from their authors, and say where "
@@ -60,7 +60,7 @@ def _folder(name: str, data: str | Path | None) -> Path:
 
 
 def _sets(folder: Path) -> list[Path]:
-    """The sets of MR.CLAM in a folder, or the folder itself if it is one."""
+    """The sets of MR.CLAM in a folder, or the folder itself if it is a set."""
     if (folder / "Barcodes.dat").is_file() or (folder / "Barcodes.dat.gz").is_file():
         return [folder]
     found = sorted(path.parent for path in folder.glob("*/Barcodes.dat*"))

@@ -1,15 +1,15 @@
-"""A log of one's own as a table: a row a measurement, the odometry in the first row of each step.
+"""User logs as CSV tables: one row per measurement, with the odometry in the first row of each step.
 
     time,forward,lateral,turn,x,y
     0.0,0,0,0,8.0,1.0
     0.0,,,,6.0,-2.0
     0.5,1.0,0.0,0.02,7.0,0.9
 
-`time` [s]: consecutive rows of one time are one step. `forward`, `lateral`, `turn` [m, m, rad]: the motion since the
-step before, in the frame of the robot at that step. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
-[m, rad]: a measurement, empty in a step that saw nothing. Optional: `sigma_` of the motion's and of the measurement's
-columns, standard deviations; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 where it is spurious,
-−2 or empty where nobody knows.
+`time` [s]: consecutive rows with the same time are one step. `forward`, `lateral`, `turn` [m, m, rad]: the motion since
+the previous step, in the frame of the robot at that step. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
+[m, rad]: a measurement, empty in a step without measurements. Optional: standard deviations of the motion and the
+measurement, in columns with the prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 if
+spurious, −2 or empty if unknown.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from slam_gym.types import UNLABELLED, Array, IntArray, Odometry, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
 _OPTIONAL = ("size", "sigma_size", "source")
-_WHEELS = (0.02, 0.01)  # [m] standard deviation of a motion without columns for it, and what each metre adds
-_COMPASS = (0.01, 0.02, 0.05)  # [rad] likewise of its turn; what each metre and each radian adds
-_SIGMAS = {"x": 0.05, "y": 0.05, "range": 0.05, "bearing": 0.01}  # [m, m, m, rad] without columns for them
+_WHEELS = (0.02, 0.01)  # [m] default σ of a motion: constant part, and part per metre
+_COMPASS = (0.01, 0.02, 0.05)  # [rad] default σ of a turn: constant part, part per metre, and part per radian
+_SIGMAS = {"x": 0.05, "y": 0.05, "range": 0.05, "bearing": 0.01}  # [m, m, m, rad] default σ of a measurement
 
 
 def from_csv(path: str | Path, *, range: float | None = None, field_of_view: float | None = None) -> Recording:
-    """Read a log from a table (see the module).
+    """Read a log from a CSV table (see the module's docstring).
 
-    Without `sigma_` columns a motion over d [m] that turns by a [rad] has 0.02 + 0.01 d [m] and 0.01 + 0.02 d +
-    0.05 |a| [rad], a point 0.05 m, a range 0.05 m and a bearing 0.01 rad.
+    Without `sigma_` columns, the standard deviations of a motion over d [m] that turns by a [rad] are 0.02 + 0.01 d [m]
+    and 0.01 + 0.02 d + 0.05 |a| [rad], those of a point 0.05 m, of a range 0.05 m and of a bearing 0.01 rad.
 
     Arguments:
-        path: of the table.
-        range: [m] of the sensor; by default that of the farthest measurement.
-        field_of_view: [rad] centred on the heading; by default the least that contains all measurements.
+        path: path of the table.
+        range: [m] of the sensor; by default the distance of the farthest measurement.
+        field_of_view: [rad] centred on the heading; by default the smallest that contains all measurements.
 
     Raises FileNotFoundError, or RecordingError that names file, line and column.
     """
@@ -83,7 +83,7 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
 
 
 def _table(text: str) -> dict[str, Array]:
-    """Its columns, NaN where empty. RecordingError names line and column of what does not fit."""
+    """The columns of a CSV text, NaN where empty. Raises RecordingError, naming line and column, for invalid cells."""
     reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
     names = [str(name).strip() for name in reader.fieldnames or ()]
     measured = POLAR if "range" in names else POINT
@@ -111,7 +111,7 @@ def _table(text: str) -> dict[str, Array]:
 
 
 def _number(text: str, where: str) -> float:
-    """NaN for an empty cell."""
+    """The number in a cell, NaN if it is empty. Raises RecordingError if it is no finite number."""
     try:
         value = float(text) if text.strip() else math.nan
     except ValueError:
@@ -122,7 +122,7 @@ def _number(text: str, where: str) -> float:
 
 
 def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int]) -> None:
-    """RecordingError for the first row in which times descend, or a motion or measurement is not whole."""
+    """Raise RecordingError for the first row where time descends, or a motion or measurement is incomplete."""
     time, empty = table["time"], {name: np.isnan(column) for name, column in table.items()}
     first = np.diff(time, prepend=-math.inf) != 0.0
     of_step = np.flatnonzero(first)[np.cumsum(first) - 1]  # the first row of the step of each row
@@ -160,7 +160,7 @@ def _motion_sigmas(table: dict[str, Array], motions: Array, first: IntArray) -> 
 
 
 def _scan(rows: dict[str, Array], measured: tuple[str, str]) -> Scan:
-    """All measurements as if they were one scan."""
+    """All measurements of the log, as one scan."""
     a, b = (rows[name] for name in measured)
     sigma_a, sigma_b = (rows.get(f"sigma_{name}", np.full(len(a), _SIGMAS[name])) for name in measured)
     sizes = rows.get("size")

@@ -1,10 +1,10 @@
 """The DLR log: a robot drives 505 m through a building and sees artificial circles on its floor, all of them labelled.
 
-Published by J. Kurlbaum and U. Frese, "A Benchmark Data Set for Data Association", SFB/TR 8 report, 2009. Needed: the
-file `map.circles`, gzipped or not.
+Published by J. Kurlbaum and U. Frese, "A Benchmark Data Set for Data Association", SFB/TR 8 report, 2009. The reader
+needs the file `map.circles`, gzipped or not.
 
-The file's robot looks along −Y and has X to its right. Turned by a right angle, x' = −y and y' = x, it looks along X as
-ours do. The map is then the mirror image of the building, which is consistent in itself.
+In the file, the robot looks along −Y and has X to its right. Turned by a right angle, x' = −y and y' = x, it looks
+along X, as in this package. The map is then the mirror image of the building, but consistent.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ TERMS = "No licence is published for the data: ask the authors before you pass i
 FILE = "map.circles"
 _RANGE, _FIELD_OF_VIEW = 4.5, math.radians(120.0)  # [m], [rad] of the camera on the floor
 _STEP, _CIRCLE = "STEP", "LANDMARK_C"
-_STEP_NUMBERS, _CIRCLE_NUMBERS = 9, 6  # in a line, after its words; identities follow those of a circle
-_AT_REST = 1e-6  # [m], [rad] σ that every motion has at least
+_STEP_NUMBERS, _CIRCLE_NUMBERS = 9, 6  # numbers in a line, after its words; those of a circle precede its identities
+_AT_REST = 1e-6  # [m], [rad] least σ of a motion
 _TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from the file's frame to R
 
 
 def dlr(folder: str | Path) -> Recording:
-    """The whole log from the published file in `folder`: one step an image, one second long since none is stamped.
+    """Read the whole log from the published file in `folder`: one step per image, taken as one second without stamps.
 
-    Circles that the labels call −1 are spurious; those without an identity, or with several, are UNLABELLED. There is
-    no survey of robot or circles. Raises FileNotFoundError, or RecordingError that names file and line.
+    Circles labelled −1 are spurious; circles without an identity, or with several, are UNLABELLED. There is no ground
+    truth of robot or circles. Raises FileNotFoundError, or RecordingError that names file and line.
     """
     folder = Path(folder)
     path = next((p for p in (folder / f"{FILE}.gz", folder / FILE) if p.is_file()), None)
@@ -64,7 +64,7 @@ def dlr(folder: str | Path) -> Recording:
 
 
 def _lines(text: str) -> tuple[Array, Array, list[int], list[int]]:
-    """Numbers of the steps (T, 9), of the circles (M, 6), identities of those, and how many each step has seen."""
+    """Numbers of the steps (T, 9) and of the circles (M, 6), identities of the circles, and their count per step."""
     motions: list[list[float]] = []
     circles: list[list[float]] = []
     sources: list[int] = []
@@ -93,7 +93,7 @@ def _lines(text: str) -> tuple[Array, Array, list[int], list[int]]:
 
 
 def _numbers(words: list[str], count: int) -> list[float]:
-    """So many finite numbers."""
+    """Parse `count` finite numbers. Raises ValueError for others."""
     numbers = [float(word) for word in words]
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise ValueError(f"expected {count} finite numbers, found {' '.join(words)!r}")
@@ -101,7 +101,7 @@ def _numbers(words: list[str], count: int) -> list[float]:
 
 
 def _identity(words: list[str]) -> int:
-    """Of a circle: a number, SPURIOUS, or UNLABELLED where none or several are given."""
+    """The identity of a circle: a number, SPURIOUS, or UNLABELLED where none or several are given."""
     identities = [int(word) for word in words]
     if len(identities) != 1:
         return UNLABELLED
@@ -111,7 +111,7 @@ def _identity(words: list[str]) -> int:
 
 
 def _turned(entries: Array, side: int) -> Array:
-    """Covariances (k, side, side) in R from the entries (k, side²) of those in the file's frame."""
+    """Covariances (k, side, side) in R from the entries (k, side²) of covariances in the file's frame."""
     turn = _TURN[:side, :side]
     out: Array = turn @ entries.reshape(-1, side, side) @ turn.T
     return out

@@ -1,9 +1,9 @@
-"""MR.CLAM: five robots among fifteen barcoded landmarks in a room of 15 m × 8 m, with a Vicon's truth.
+"""MR.CLAM: five robots among fifteen barcoded landmarks in a room of 15 m × 8 m, with ground truth by Vicon.
 
 Published by K. Leung, Y. Halpern, T. Barfoot and H. Liu, "The UTIAS multi-robot cooperative localization and mapping
 dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder with `Barcodes.dat`,
 `Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
-Its stationary groups are relocation cases; S. Choi extracted them (Triangulation Toolbox, `mrclamN.mat`).
+Its stationary groups are relocation problems; S. Choi extracted them (Triangulation Toolbox, `mrclamN.mat`).
 """
 
 from __future__ import annotations
@@ -35,50 +35,50 @@ SOURCE = (
 )
 TERMS = "For educational use; cite the paper."
 ROBOTS = (1, 2, 3, 4, 5)
-_RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with room to spare
-_LARGEST = 1e10  # of any number: seconds since 1970, metres, radians, barcodes
-_MISREAD = 1.0  # [m] from where the Vicon has it, a barcode was taken for another
-_TOGETHER = 0.05  # [s] measurements that are no farther apart make one scan
+_RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with a margin
+_LARGEST = 1e10  # greatest number: seconds since 1970, metres, radians, barcodes
+_MISREAD = 1.0  # [m] from the position by Vicon, above which a barcode was misread
+_TOGETHER = 0.05  # [s] greatest time between consecutive measurements of one scan
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What the log does not say; chosen on set 6, with all of its robots in view.
+    """A noise model, which the log does not contain; chosen by the author on all robots of set 6.
 
-    Wheels report what they were told to do: the robots do it a little later, and less of it. Variances of the motion
-    add up with time; those of a barcode grow with its range, and are half as much again in σ as the Vicon shows, since
-    a barcode that is looked at for long is off by the same all the time.
+    The odometry is the commanded motion, which the robots carry out with a delay, and not fully. Variances of the
+    motion add up with time. The σ of a barcode grows with its range, and is 1.5 times that of the errors by Vicon,
+    because a barcode seen for a long time has the same error all the time.
     """
 
-    delay: float = 0.2  # [s] after which a robot does what its odometry says
-    forward_scale: float = 0.93  # of the speed reported, how much is driven
-    turn_scale: float = 0.85  # of the turning speed reported, how much is turned
+    delay: float = 0.2  # [s] from a command in the odometry to its execution
+    forward_scale: float = 0.93  # fraction of the commanded speed that is driven
+    turn_scale: float = 0.85  # fraction of the commanded turning speed that is turned
     forward: float = 0.12  # [m/√s] at 1 m/s
-    lateral: float = 0.02  # [m/√s] likewise
+    lateral: float = 0.02  # [m/√s] at 1 m/s
     turn: float = 0.15  # [rad/√s] at 1 rad/s
-    drift: float = 0.004  # [m/√s] in addition
-    turn_drift: float = 0.025  # [rad/√s] in addition
+    drift: float = 0.004  # [m/√s] in addition, at any speed
+    turn_drift: float = 0.025  # [rad/√s] in addition, at any speed
     range: float = 0.15  # [m]
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]
 
     def scan(self, ranges: Array, bearings: Array) -> Scan:
-        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
+        """The scan of barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
         return Scan.from_polar(ranges, bearings, np.hypot(self.range, self.range_per_metre * ranges), self.bearing)
 
 
 ROAMING = Noise()
 GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
-"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+"""Noise of the stationary groups: with their poses, σ of ranges is 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
 
 
 def mrclam(folder: str | Path, robot: int) -> Recording:
-    """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
+    """Read the log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
-    Identities are subject numbers, 6 to 20. Barcodes of other robots, those that nobody wears, and those that were
-    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious.
-    The poses of the reference are the Vicon's. Raises FileNotFoundError, or RecordingError that names file and line.
+    Identities are subject numbers, 6 to 20. Barcodes of other robots, barcodes of no subject, and misread barcodes (a
+    few in each set, up to 6 m from their position by Vicon) are spurious. The reference poses are those by Vicon.
+    Raises FileNotFoundError, or RecordingError that names file and line.
     """
     if robot not in ROBOTS:
         raise ValueError(f"robot: {robot} is none of 1 … 5")
@@ -118,7 +118,7 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
 
 
 def _sources(landmarks: Array, barcodes: Array, codes: Array, poses: Array, points: Array) -> IntArray:
-    """(M,) landmark behind each of the `codes` (M,) that were measured; SPURIOUS where it is none, or was misread.
+    """(M,) landmark behind each of the measured `codes` (M,); SPURIOUS where there is none, or the code was misread.
 
     The measurements `points` (M, 2) in R were made from `poses` (M, 3).
     """
@@ -133,9 +133,9 @@ def _sources(landmarks: Array, barcodes: Array, codes: Array, poses: Array, poin
 
 
 def _table(folder: Path, name: str, columns: int, *, ascending: bool = False, counts: int = 0) -> Array:
-    """The numbers (rows, columns) of a text file, or of its gzipped form. What follows a # is a comment.
+    """The numbers (rows, columns) of a text file, gzipped or not. Text after a # is a comment.
 
-    `ascending`: in the order of the first column. `counts`: so many columns hold whole numbers that are not negative.
+    `ascending`: the first column must ascend. `counts`: number of leading columns that must be integers ≥ 0.
     """
     path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
     if path is None:
@@ -156,9 +156,9 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False, co
 
 
 def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
-    """Motion (T, 3) and covariance (T, 3, 3) between `times`, from rows (time, v, ω) that hold until the next one.
+    """Motion (T, 3) and covariance (T, 3, 3) between `times`, from commands (time, v, ω) that hold until the next one.
 
-    What a robot turns too far early on, it is aside of its way later: C = Σ F Q Fᵀ over the spans, F = ∂u/∂du.
+    An early error of the heading becomes a lateral error later: C = Σ F Q Fᵀ over the spans, F = ∂u/∂du.
     """
     spans = Spans.between(times, odometry[:, 0] + noise.delay)
     v, w = np.where(spans.command >= 0, odometry[spans.command, 1:].T, 0.0)
@@ -167,9 +167,9 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
     c, s = np.cos(heading), np.sin(heading)
     moved = dt * np.array([v * c, v * s, w])
     motions = np.column_stack([spans.sums(part, len(times)) for part in moved])
-    so_far = np.cumsum(moved[:2], axis=1)  # of the log; what is left of a step is told by its last span
+    cumulative = np.cumsum(moved[:2], axis=1)  # from the start of the log, used for the remainder of each step
     last = np.searchsorted(spans.step, spans.step, side="right") - 1
-    x_left, y_left = so_far[:, last] - so_far
+    x_left, y_left = cumulative[:, last] - cumulative
     along = dt * ((noise.forward * v) ** 2 + noise.drift**2)
     across = dt * ((noise.lateral * v) ** 2 + noise.drift**2)
     turned = dt * ((noise.turn * w) ** 2 + noise.turn_drift**2)
@@ -191,18 +191,17 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
     return motions, covariances
 
 
-_FARTHEST_GROUP = 1e5  # [m], [rad]; and more groups or landmarks than that are none of this dataset
-_COLUMNS = {"landmark": 3, "groundtruth": 4, "measurement": 4}  # of the variables of a file
+_FARTHEST_GROUP = 1e5  # [m], [rad] greatest number in a file of this dataset
+_COLUMNS = {"landmark": 3, "groundtruth": 4, "measurement": 4}  # columns of each variable of a file
 
 
 def stationary(path: str | Path) -> Recording:
-    """Groups of three or more measurements that a robot made within a second and a centimetre, with its true pose.
+    """Read the stationary groups: three or more measurements within a second and a centimetre, with the true pose.
 
-    Each group is a step of its own: nothing is known of the motion between them, which is left at zero, and the poses
-    of the reference are those of the steps. From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross
-    errors were removed by those who extracted the groups, and barcodes of robots too: nothing is spurious. Most groups
-    repeat the one before, since robots stand still for long. Raises FileNotFoundError, or RecordingError that names
-    file, variable and row.
+    Each group is one step: the motion between groups is unknown and set to zero, and the reference poses are those of
+    the steps. The file is `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. The authors of the groups removed
+    gross errors and barcodes of robots: nothing is spurious. Most groups repeat the previous group, since robots stand
+    still for long. Raises FileNotFoundError, or RecordingError that names file, variable and row.
     """
     path = Path(path)
     content = read_matlab(path, list(_COLUMNS), SOURCE)

@@ -1,4 +1,4 @@
-"""Landmark logs that come as text pose graphs: the g2o dialect (`EDGE_SE2_XY`) and that of iSAM (`LANDMARK`).
+"""Landmark logs in text formats of pose graphs: that of g2o (`EDGE_SE2_XY`) and that of iSAM (`LANDMARK`).
 
     g2o   VERTEX_SE2 i x y θ                          VERTEX_XY l x y
           EDGE_SE2 i j dx dy dθ I11 I12 I13 I22 I23 I33      information matrix, upper triangle by rows
@@ -6,8 +6,8 @@
     iSAM  ODOMETRY i j dx dy dθ R11 R12 R13 R22 R23 R33      square root information, RᵀR = I
           LANDMARK i l x y R11 R12 R22
 
-Poses are taken in the order of their numbers; each must be reached from the one before it. There are no time stamps, so
-that a step counts as a second. Identities are the numbers of the landmarks.
+Poses are read in the order of their numbers; an edge must lead to each from the one before it. There are no time
+stamps, so a step counts as one second. Identities are the numbers of the landmarks.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
 
 _MAX_BYTES = 1 << 25
-_AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
+_AT_START = 1e-12  # [m²], [rad²] variances of the first pose, which is the start of the log
 _G2O = {"VERTEX_SE2": (1, 3, 0), "VERTEX_XY": (1, 2, 0), "EDGE_SE2": (2, 3, 6), "EDGE_SE2_XY": (2, 2, 3)}
 _ISAM = {"ODOMETRY": (2, 3, 6), "LANDMARK": (2, 2, 3)}
-"""By tag, how many numbers are the key of an entry, its mean and its weight."""
+"""For each tag, how many numbers are the key of an entry, its mean and its weight."""
 
 
 class _Entry(NamedTuple):
-    """A vertex, a motion or a measurement, as it stands in the file."""
+    """A vertex, a motion or a measurement, as in the file."""
 
-    line: int  # number
-    key: tuple[int, ...]  # of a vertex its number, of an edge those of both ends
+    line: int  # number of the line
+    key: tuple[int, ...]  # the number of a vertex, or the numbers of both ends of an edge
     mean: list[float]
-    weight: list[float]  # of an edge: upper triangle, by rows, of the information matrix or of its root
+    weight: list[float]  # upper triangle, by rows, of the information matrix of an edge or of its root
 
 
 def g2o(path: str | Path, *, reference: bool = False) -> Recording:
-    """A log from a g2o file with landmarks. With `reference`, its vertices are taken for the truth.
+    """Read a log from a g2o file with landmarks. With `reference`, its vertices are taken as the truth.
 
     Raises FileNotFoundError, or RecordingError that names file and line.
     """
@@ -53,14 +53,14 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
 
 
 def isam(path: str | Path) -> Recording:
-    """A log from a file in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
+    """Read a log in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
     with naming(path):
         entries = _read(Path(path), _ISAM)
         return _recording(Path(path), entries["ODOMETRY"], entries["LANDMARK"], True, {}, {})
 
 
 def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[_Entry]]:
-    """The entries of a file by their tags."""
+    """The entries of a file, by tag."""
     entries: dict[str, list[_Entry]] = {tag: [] for tag in sizes}
     for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8", errors="replace").split("\n"), 1):
         tag, *words = line.split("#", 1)[0].split() or [""]
@@ -85,7 +85,7 @@ def _entry(line: int, tag: str, words: Sequence[str], keys: int, mean: int, weig
 
 
 def _covariances(edges: Sequence[_Entry], size: int, root: bool) -> Array:
-    """(k, size, size) from the upper triangles of the information matrices or of their roots."""
+    """(k, size, size) covariances from the upper triangles of the information matrices, or of their roots."""
     upper = np.zeros((len(edges), size, size))
     rows, columns = np.triu_indices(size)
     upper[:, rows, columns] = np.array([edge.weight for edge in edges]).reshape(len(edges), len(rows))
@@ -110,9 +110,9 @@ def _recording(
     known: dict[int, list[float]],
     places: dict[int, list[float]],
 ) -> Recording:
-    """The log of motions and measurements, whose weights are information matrices or the `root` of these.
+    """The log of motions and measurements, whose weights are information matrices or, with `root`, their roots.
 
-    `known` and `places` are the poses and landmarks of the reference by their numbers.
+    `known` and `places` are the poses and landmarks of the reference, by number.
     """
     by_pair: dict[tuple[int, ...], _Entry] = {}
     for edge in motions:

@@ -1,4 +1,4 @@
-"""What the readers of logs share: one error, checks of fields, MATLAB variables, spans of commands."""
+"""Tools that the readers of logs share: their error, checks of fields, MATLAB variables, spans of commands."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from slam_gym.types import Array, IntArray
 
 
 class RecordingError(ValueError):
-    """A recording, or a file that should hold one, is not what it should be. Names the file, field or line."""
+    """A recording, or a file that should contain one, is invalid. The message names the file, field or line."""
 
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Errors of what is read from a file or folder as RecordingErrors that name it. No number overflows aloud."""
+    """Turn errors into RecordingErrors that name the file or folder `path`. Floating-point warnings are suppressed."""
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused by the checks of fields
+        with np.errstate(all="ignore"):  # the checks of fields reject numbers that overflow
             yield
     except (ValueError, ArithmeticError) as error:
         message = str(error)
@@ -32,7 +32,7 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def read_matlab(path: Path, names: Sequence[str], source: str) -> dict[str, Any]:
-    """The variables of a MATLAB file from a `source` to be cited.
+    """The variables `names` of a MATLAB file; `source` tells where to get the file and what to cite.
 
     Raises FileNotFoundError, or RecordingError for a file that is too large, unreadable or lacks a variable.
     """
@@ -49,9 +49,9 @@ def read_matlab(path: Path, names: Sequence[str], source: str) -> dict[str, Any]
 
 
 def numbers_of(path: Path, name: str, value: Any, columns: int | None = None) -> Array:
-    """A variable of a MATLAB file as finite float64: a table of so many `columns`, or with None its entries in a row.
+    """A variable of a MATLAB file as finite float64: a table of `columns` columns, or a flat array if that is None.
 
-    RecordingError names file, variable and row.
+    Raises RecordingError that names file, variable and row.
     """
     array = np.asarray(value)
     if array.dtype.kind not in "fiu" or array.size == 0:
@@ -68,36 +68,36 @@ def numbers_of(path: Path, name: str, value: Any, columns: int | None = None) ->
 
 
 def refuse_rows(path: Path, name: str, bad: Any, what: str) -> None:
-    """RecordingError naming file, variable and the first row at which `bad` (n,) holds."""
+    """Raise RecordingError, naming file, variable and row, at the first row where `bad` (n,) is True."""
     if bad.any():
         raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} {what}")
 
 
 def starts_of(counts: ArrayLike) -> IntArray:
-    """(T + 1,) rows at which the measurements of each step start, and their end, from their numbers (T,)."""
+    """(T + 1,) rows at which the measurements of each step start, and the end; `counts` (T,) are their numbers."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 class Spans(NamedTuple):
-    """The time between the looks of a log, cut where another command takes over."""
+    """The time between the scans of a log, divided into spans of constant command."""
 
-    step: IntArray  # (s,) the look that each span leads to
-    command: IntArray  # (s,) the command that holds in it, −1 before the first one
-    seconds: Array  # (s,)
+    step: IntArray  # (s,) the scan that each span leads to
+    command: IntArray  # (s,) the command during each span, −1 before the first command
+    seconds: Array  # (s,) duration
 
     @classmethod
     def between(cls, looks: Array, commands: Array) -> Spans:
-        """From the instants (T,) of the looks and those (n,) at which the commands begin, both ascending [s]."""
+        """Spans for scans at the times `looks` (T,) and commands from the times `commands` (n,), both ascending [s]."""
         within = commands[(commands > looks[0]) & (commands < looks[-1])]
         edges = np.unique(np.concatenate([looks, within]))
         after = np.searchsorted(looks, edges[:-1], side="right")
         return cls(after, np.searchsorted(commands, edges[:-1], side="right") - 1, np.diff(edges))
 
     def headings(self, turns: Array) -> Array:
-        """(s,) [rad] at the start of each span since the look before it, from how much each turns (s,) [rad]."""
+        """(s,) [rad] heading at the start of each span, relative to the scan before it; `turns` (s,) [rad]."""
         before = np.cumsum(turns) - turns
         return before - before[np.searchsorted(self.step, self.step)]
 
     def sums(self, values: Array, looks: int) -> Array:
-        """(T,) of the values (s,) in the spans that lead to each of so many looks."""
+        """(T,) sum of the `values` (s,) of the spans that lead to each of the T = `looks` scans."""
         return np.asarray(np.bincount(self.step, values, looks), np.float64)

@@ -1,7 +1,7 @@
-"""A log of odometry and feature scans in one neutral form; `recordings/FORMAT.md` describes the file that holds it.
+"""A log of odometry and feature scans in a common format; `recordings/FORMAT.md` describes its file.
 
-A log is a sequence of T steps. In step t the robot moves by `motions[t]` and then looks: the same `Odometry` and `Scan`
-that the simulator gives, so that whatever runs on one runs on the other.
+A log is a sequence of T steps. In step t the robot moves by `motions[t]` and then takes a scan. `Odometry` and `Scan`
+are those of the simulator, so whatever runs on one runs on the other.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ _TEXTS = ("name", "source", "terms")
 _INTEGERS = ("starts", "sources", "landmark_ids")
 _NUMBERS = ("range", "field_of_view")
 _LARGEST_IDENTITY = 1 << 20
-_LARGEST = 1e9  # [m] of a coordinate or a standard deviation: what is larger overflows, further in, when it is squared
-_TOLERANCE = 1e-9  # of asymmetry and negative eigenvalues, relative to the largest entry
+_LARGEST = 1e9  # [m] greatest coordinate or standard deviation: squares of larger ones may overflow later
+_TOLERANCE = 1e-9  # for asymmetry and negative eigenvalues, relative to the largest entry
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A log. Frames: R robot at the time of a step; W that of the reference, if there is one.
+    """A log. Frames: R is the robot at the time of a step, W the frame of the reference, if there is one.
 
-    The heading of a reference pose is NaN where only the position is known. Identities are kept as they are given,
-    unless one is 2²⁰ or above: then they become 0, 1, 2 … in their order, so that tables by identity stay small.
-    Raises RecordingError, naming the field, where arrays do not fit together or hold what they may not.
+    The heading of a reference pose is NaN where only the position is known. Identities are not changed, unless one is
+    2²⁰ or above: then they are renumbered 0, 1, 2 … in their order, so that tables by identity stay small.
+    Raises RecordingError, naming the field, where arrays do not fit together or contain invalid entries.
     """
 
     name: str
     source: str  # where it is published and what to cite
-    terms: str  # under which it may be used
+    terms: str  # terms of use
     times: Array  # (T,) [s] not descending
     motions: Array  # (T, 3) [m, m, rad] pose at step t in R of step t − 1 (of the start, for t = 0)
     motion_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
-    starts: IntArray  # (T + 1,) the measurements of step t are rows starts[t]:starts[t + 1] of the arrays (M, …)
+    starts: IntArray  # (T + 1,) measurements of step t: rows starts[t]:starts[t + 1] of the arrays (M, …)
     points: Array  # (M, 2) [m] in R
     covariances: Array  # (M, 2, 2) [m²] in R
     sizes: Array = None  # type: ignore[assignment]  # (M,) [m] measured intrinsic attribute, NaN where unknown: default
@@ -54,10 +54,10 @@ class Recording:
     sources: IntArray  # (M,) identity ≥ 0 of the feature behind each measurement, see below; −1 spurious, −2 unknown
     reference_times: Array = field(default_factory=lambda: np.empty(0))  # (G,) [s] ascending
     reference_poses: Array = field(default_factory=lambda: np.empty((0, 3)))  # (G, 3) [m, m, rad] in W, see below
-    landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (L,) identities of known place
-    landmarks: Array = field(default_factory=lambda: np.empty((0, 2)))  # (L, 2) [m] in W
-    range: float  # [m] farthest that the sensor sees
-    field_of_view: float  # [rad] centred on the heading
+    landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (L,) identities of known landmarks
+    landmarks: Array = field(default_factory=lambda: np.empty((0, 2)))  # (L, 2) [m] positions in W
+    range: float  # [m] greatest range of the sensor
+    field_of_view: float  # [rad] of the sensor, centred on the heading
 
     def __post_init__(self) -> None:
         for name in ("sizes", "size_variances"):
@@ -74,16 +74,16 @@ class Recording:
         return len(self.times)
 
     def odometry(self, step: int) -> Odometry:
-        """The motion before the look of `step`."""
+        """The motion before the scan of `step`."""
         return Odometry(self.motions[step], self.motion_covariances[step])
 
     def scan(self, step: int) -> Scan:
-        """What was measured in `step`."""
+        """The scan of `step`."""
         rows = slice(self.starts[step], self.starts[step + 1])
         return Scan(self.points[rows], self.covariances[rows], self.sizes[rows], self.size_variances[rows])
 
     def sources_of(self, step: int) -> IntArray:
-        """(m,) identities behind the measurements of `step`."""
+        """(m,) identities of the features behind the measurements of `step`."""
         return self.sources[self.starts[step] : self.starts[step + 1]]
 
     def steps(self) -> Iterator[tuple[Odometry, Scan, IntArray]]:
@@ -108,13 +108,13 @@ class Recording:
     def every(self, count: int) -> Recording:
         """Steps 0, `count`, 2·`count` …; motions and covariances of the steps between are compounded.
 
-        What was measured in those is gone. Raises ValueError for a count below 1.
+        The measurements of the steps between are dropped. Raises ValueError for a count below 1.
         """
         if count < 1:
             raise ValueError(f"every {count}th step of a recording: expected at least 1")
         motions, covariances = self.motions.copy(), self.motion_covariances.copy()
         for k in range(1, len(self)):
-            if k % count != 1 % count:  # the motion goes on from that of the step before
+            if k % count != 1 % count:  # append the motion to that of the step before
                 to_before, to_motion = compose_jacobians(motions[k - 1], self.motions[k])
                 motions[k] = compose(motions[k - 1], self.motions[k])
                 before = to_before @ covariances[k - 1] @ to_before.T
@@ -133,7 +133,7 @@ class Recording:
         )
 
     def _measurements(self, rows: slice | BoolArray) -> dict[str, Any]:
-        """The fields with a row for each measurement, in some of their rows."""
+        """The fields that have a row for each measurement, restricted to `rows`."""
         return {name: getattr(self, name)[rows] for name in _PER_MEASUREMENT}
 
 
@@ -148,9 +148,9 @@ def save(recording: Recording, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Recording:
-    """Read a recording that `save`, or anybody who follows the format, has written.
+    """Read a recording file (`recordings/FORMAT.md`), such as `save` writes.
 
-    Raises FileNotFoundError, or RecordingError that names the file and what is wrong with it. Nothing is unpickled.
+    Raises FileNotFoundError, or RecordingError that names the file and what is wrong. Nothing is unpickled.
     """
     known = {field.name for field in fields(Recording)}
     with naming(path):
@@ -170,7 +170,7 @@ def load(path: str | Path) -> Recording:
 
 
 def _field_of(name: str, content: bytes) -> Any:
-    """A field as the dataclass has it."""
+    """The value of a field of `Recording` from the `content` of its array file."""
     kinds = "U" if name in _TEXTS else "iu" if name in _INTEGERS else "fiu"
     try:
         value = array_of(content, kinds)
@@ -186,7 +186,7 @@ def _field_of(name: str, content: bytes) -> Any:
 
 
 def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
-    """Poses (t, 3) [m, m, rad] at `times` (t,) [s], one a line: `t x y z qx qy qz qw` (Sturm et al., IROS 2012).
+    """Write poses (t, 3) [m, m, rad] at `times` (t,) [s] in lines `t x y z qx qy qz qw` (Sturm et al., IROS 2012).
 
     Raises ValueError where the shapes do not fit, or a number is not finite.
     """
@@ -201,7 +201,10 @@ def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (k, 3) at instants (k,), linear between the given ones (t, 3); headings NaN where any of those is."""
+    """(k, 3) poses at the times `at` (k,), by linear interpolation of `poses` (t, 3) at `times` (t,).
+
+    All headings are NaN if any of `poses` has none.
+    """
     headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
     x, y, heading = (np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], headings))
     return np.column_stack([x, y, wrap_angles(heading)])
@@ -229,7 +232,7 @@ def _validate(log: Recording) -> None:
     for name in ("times", "reference_times"):
         times = getattr(log, name)
         _refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")
-    starts = np.clip(log.starts, -1, M + 1)  # differences of what is far outside may overflow
+    starts = np.clip(log.starts, -1, M + 1)  # differences of numbers far outside could overflow
     _refuse("starts", np.diff(starts, prepend=0) < 0, "descends")
     if starts[0] != 0 or starts[-1] != M:
         raise RecordingError(f"field 'starts' goes from {log.starts[0]} to {log.starts[-1]}, expected 0 to {M}")
@@ -247,7 +250,7 @@ def _validate(log: Recording) -> None:
 
 
 def _refuse(name: str, bad: BoolArray, what: str) -> None:
-    """RecordingError naming the first entry of a field where any of `bad` (n, …) holds."""
+    """Raise RecordingError, naming the field, at its first entry where any of `bad` (n, …) is True."""
     if bad.any():
         raise RecordingError(f"field {name!r}: entry {int(np.nonzero(bad)[0][0])} {what}")
 

@@ -2,10 +2,10 @@
 
 Published by E. Nebot and J. Guivant, University of Sydney; cite Guivant and Nebot, "Optimization of the simultaneous
 localization and map-building algorithm for real-time implementation", IEEE TRA 17(3), 2001. The identities of the
-trunks were made by S. Huang, Z. Wang and G. Dissanayake (I-SLSJF): they come from a SLAM of theirs, not from a survey.
+trunks are by S. Huang, Z. Wang and G. Dissanayake (I-SLSJF): they come from the authors' SLAM, not from a survey.
 
-Needed in one folder: `aa3_dr.mat` (odometry), `VictoriaParkSinSincronizar.mat` (detections), `aa3_gpsx.mat` (GPS), and
-`data_sensor_clean_clean.mat` (identities).
+The reader needs in one folder: `aa3_dr.mat` (odometry), `VictoriaParkSinSincronizar.mat` (detections),
+`aa3_gpsx.mat` (GPS), and `data_sensor_clean_clean.mat` (identities).
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ SOURCE = (
     "the identities also Huang, Wang and Dissanayake, 'Iterated SLSJF: a sparse local submap joining algorithm', 2008."
 )
 TERMS = "No licence is published for the data: ask the authors before you pass it on."
-_LENGTH, _HALF_WIDTH = 2.83, 0.76  # [m] wheel base; from the middle of the rear axle to the encoder's wheel
-_AHEAD, _ASIDE = 3.78, 0.5  # [m] of the laser, from the middle of the rear axle
+_LENGTH, _HALF_WIDTH = 2.83, 0.76  # [m] wheel base; from the middle of the rear axle to the wheel of the encoder
+_AHEAD, _ASIDE = 3.78, 0.5  # [m] position of the laser, from the middle of the rear axle
 _RANGE = 80.0  # [m] of the laser
-_FASTEST, _SHARPEST = 100.0, 1.2  # [m/s], [rad] of any vehicle; at 1.31 rad the middle of the axle would stand still
-_LONGEST, _FARTHEST = 1e7, 1e5  # [s] of a log; [m] of anything seen
+_FASTEST, _SHARPEST = 100.0, 1.2  # [m/s], [rad] limits; at 1.31 rad of steering the middle of the axle would not move
+_LONGEST, _FARTHEST = 1e7, 1e5  # [s] greatest duration; [m] greatest distance of a detection
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What the log does not say. Variances of the motion add up with time; those of a trunk with its range."""
+    """A noise model, which the log does not contain. Variances of the motion add up with time, while it moves."""
 
-    speed: float = 0.3  # [m/√s] along the way, while it moves
-    lateral: float = 0.1  # [m/√s] across it
+    speed: float = 0.3  # [m/√s] along the path
+    lateral: float = 0.1  # [m/√s] across the path
     turn: float = math.radians(2.0)  # [rad/√s]
-    range: float = 0.3  # [m] between a trunk seen from one side and from another
+    range: float = 0.3  # [m] includes the difference between views of a trunk from different sides
     bearing: float = math.radians(1.0)  # [rad]
     size: float = 0.05  # [m] of a trunk's diameter
     size_per_metre: float = 0.005  # [m/m] of the range, added in quadrature
@@ -58,11 +58,11 @@ NOISE = Noise()
 
 
 def victoria_park(folder: str | Path) -> Recording:
-    """The whole log from the published files in `folder`: one step a laser scan, trunk diameters as sizes.
+    """Read the whole log from the published files in `folder`: one step per laser scan, with trunk diameters as sizes.
 
-    Identities are SPURIOUS for the detections that the label file leaves out of a scan, and UNLABELLED in the scans
-    that it leaves out. The reference is the position of the GPS antenna, near the laser. Its stamps fit as they are:
-    the error of a good trajectory is least when they are shifted by 0.1 s.
+    Detections missing from a scan of the label file are SPURIOUS, and detections in scans that it does not contain are
+    UNLABELLED. The reference is the position of the GPS antenna, near the laser. Its time stamps are used unchanged:
+    the error of a good trajectory is smallest for a shift of only 0.1 s.
     Raises FileNotFoundError, or RecordingError that names file and variable.
     """
     folder = Path(folder)
@@ -72,7 +72,7 @@ def victoria_park(folder: str | Path) -> Recording:
         gps = np.column_stack(_columns(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m")))
         sources = _identities(folder, scans, starts, polar)
         motions, motion_covariances = _driven(scans, wheels)
-        bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
+        bearings = polar[:, 1] - 0.5 * math.pi  # the laser measures them from its right
         seen = Scan.from_polar(polar[:, 0], bearings, NOISE.range, NOISE.bearing)
         return Recording(
             name="victoria_park",
@@ -104,7 +104,7 @@ def _wheels(path: Path) -> tuple[Array, Array, Array]:
 
 
 def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Array]:
-    """Three variables of a file, all of one length."""
+    """Three variables of a file, which must have one length."""
     content = read_matlab(path, names, SOURCE)
     first, second, third = (numbers_of(path, name, content[name]) for name in names)
     if not len(first) == len(second) == len(third):
@@ -113,7 +113,7 @@ def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Arr
 
 
 def _detections(path: Path) -> tuple[Array, IntArray, Array]:
-    """Times of the scans (T,) [s], where each starts (T + 1,), and range [m], bearing [rad], diameter [m] (M, 3)."""
+    """Times of scans (T,) [s], first row of each (T + 1,), and rows (M, 3): range [m], bearing [rad], diameter [m]."""
     laser = read_matlab(path, ("TLsr", "zt"), SOURCE)
     scans, cells = numbers_of(path, "TLsr", laser["TLsr"]), laser["zt"]
     far = (np.diff(scans, prepend=scans[0]) < 0.0) | (np.abs(scans) > _LONGEST)
@@ -132,7 +132,7 @@ def _detections(path: Path) -> tuple[Array, IntArray, Array]:
 def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """Motion (T, 3) of the laser from scan to scan, and its covariance (T, 3, 3), by the vehicle's kinematics.
 
-    With the speed v_c = v / (1 − tan α · H / L) of the middle of the rear axle and κ = tan α / L,
+    With the speed v_c = v / (1 − tan α · H / L) of the middle of the rear axle and the curvature κ = tan α / L,
     ẋ = v_c (cos θ − κ (a sin θ + b cos θ)), ẏ = v_c (sin θ + κ (a cos θ − b sin θ)), θ̇ = v_c κ
     (Guivant and Nebot 2001). A command holds until the next one.
     """
@@ -165,8 +165,8 @@ def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> I
     keys = {(round(t), round(b, 6), round(r, 6)): int(source) for t, r, b, _, _, source in labels.tolist()}
     stamps = np.repeat(np.round(1000.0 * scans).astype(np.int64), np.diff(starts))
     rows = zip(stamps.tolist(), polar.tolist(), strict=True)
-    found = [keys.pop((t, round(b, 6), round(r, 6)), SPURIOUS) for t, (r, b, _) in rows]
+    identities = [keys.pop((t, round(b, 6), round(r, 6)), SPURIOUS) for t, (r, b, _) in rows]
     if keys:
         time = next(iter(keys))[0]
         raise RecordingError(f"{folder}: {len(keys)} labels fit no detection, the first at {time} ms")
-    return np.where(np.isin(stamps, labels[:, 0].astype(np.int64)), found, UNLABELLED)
+    return np.where(np.isin(stamps, labels[:, 0].astype(np.int64)), identities, UNLABELLED)
