@@ -259,8 +259,8 @@ def _suite() -> str:
         parts.append(_table(f" | {ids}", [f"{experiment.axis} | {knobs}"]))
     return _page(
         "# Levels of the suite",
-        f"The suite has {len(EXPERIMENTS)} experiments, each of which varies one parameter in five levels, from easy to "
-        "hard. The id of a level, such as `closure/3`, is accepted wherever the name of a scenario is. "
+        f"The suite has {len(EXPERIMENTS)} experiments, each of which varies one parameter in five levels, from easy "
+        "to hard. The id of a level, such as `closure/3`, is accepted wherever the name of a scenario is. "
         "[Which associator?](../results/associators.md) has the scores.",
         *parts,
     )

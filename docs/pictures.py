@@ -169,8 +169,8 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
         ax.spines[:].set_visible(False)
         name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
         figure.text(0.5, 0.945, name, ha="center", fontsize=12, weight="bold")
-        wrong = episode.identities.total.fp
-        caption = f"map error {episode.map_error():.2f}, {wrong} of {episode.identities.total.tp + wrong} pairings wrong"
+        tally = episode.identities.total
+        caption = f"map error {episode.map_error():.2f}, {tally.fp} of {tally.tp + tally.fp} pairings wrong"
         figure.text(0.5, 0.88, caption, ha="center", fontsize=9.5)
         figure.canvas.draw()
         panels.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()))  # type: ignore[attr-defined]
