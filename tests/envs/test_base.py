@@ -236,7 +236,7 @@ def underway(case, steps=2):
     return env, last
 
 
-def goes_on_alike(env, other, steps=40) -> None:
+def goes_on_alike(env, other, steps=24) -> None:
     """Both are driven on, over resets without a seed."""
     rng, over = np.random.default_rng(2), False
     info = {"action_mask": env.action_masks()} if isinstance(env.action_space, gym.spaces.Discrete) else {}

@@ -265,23 +265,6 @@ def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
             refusing(absent)
 
 
-@pytest.mark.parametrize(
-    "odometry",
-    [
-        Odometry(np.array([0.0, np.nan, 0.0]), Q),
-        Odometry(np.zeros(3), -Q),
-        Odometry(np.zeros(3), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.0], [2.0, 0.0, 1.0]])),
-    ],
-)
-def test_bad_odometry_is_refused_and_changes_nothing(odometry: Odometry) -> None:
-    m, _, _ = mapped()
-    mean, covariance = m.mean, m.covariance
-    with pytest.raises(ValueError, match="odometry"):
-        m.predict(odometry)
-    np.testing.assert_array_equal(m.mean, mean)
-    np.testing.assert_array_equal(m.covariance, covariance)
-
-
 def test_no_uncertainty_anywhere_is_refused() -> None:
     m, exact = StochasticMap(), scan_with(covariances=np.zeros((2, 2, 2)))
     m.add(exact, np.array([0]))

@@ -211,9 +211,9 @@ def best_path(
     return rows, best[1]
 
 
-def jcbb(scan: Scan, prediction: Prediction, confidence: float, *, locality: bool = True) -> tuple[list[int], float]:
+def jcbb(scan: Scan, prediction: Prediction, confidence: float) -> tuple[list[int], float]:
     """JCBB as the best of all paths; with locality in the two searches it is defined by."""
-    if not locality or not prediction.has_localities:
+    if not prediction.has_localities:
         return best_path(scan, prediction, confidence)
     near = prediction.near
     first, _ = best_path(scan, prediction, confidence, allowed=near)

@@ -14,7 +14,7 @@ from slam_gym.scenarios.registry import DRIFT, GENERIC, MRCLAM, VICTORIA_PARK, f
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
 from slam_gym.simulation.episode import survey
 from slam_gym.world.floor_plan import Features, FloorPlan
-from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
+from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.physics import Motion
 from slam_gym.world.sensor import OdometrySpec, Sensor
@@ -114,9 +114,8 @@ def test_a_floor_plan_file_becomes_a_scenario_with_a_budget_for_its_size(tmp_pat
     assert quality["map_error"] < 0.9 and quality["coverage"] > 0.3
 
 
-@pytest.mark.parametrize("file", ["kth_floorplans/50052750_occ_map.npy.gz", "willow_garage/willow-full.pgm"])
-def test_real_floors_can_be_driven_and_mapped(data_dir, file) -> None:
-    quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 6)
+def test_a_real_floor_can_be_driven_and_mapped(data_dir) -> None:
+    quality = drive(from_floor_plan(data_dir / "kth_floorplans" / "50052750_occ_map.npy.gz", resolution=0.1), 6)
     assert quality["features"] > 20 and quality["precision"] > 0.8
     assert 0.0 < quality["coverage"] < 1.0 and quality["map_error"] < 1.0
 
@@ -137,11 +136,6 @@ def test_the_budget_follows_the_area_that_can_be_reached(side) -> None:
     assert floor_budget(square(side), short_sighted) == pytest.approx(budget * (2.0 + 20.0 / 6.0) / 3.0, rel=0.001)
     walled_in = np.concatenate([square(side).walls, [[0.0, side / 4, side, side / 4]]])
     assert floor_budget(FloorPlan("cut", walled_in, NO_FEATURES), building) == pytest.approx(0.75 * budget, rel=0.05)
-
-
-def test_real_floors_get_the_time_that_they_take(data_dir) -> None:
-    plan = load_floor_plan(data_dir / "kth_floorplans" / "50052748_occ_map.npy.gz", 0.1)
-    assert 6_000 < floor_budget(plan, SCENARIOS["building"]) < 7_500
 
 
 def test_each_level_loses_more_of_its_way_than_the_one_before() -> None:

@@ -5,6 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
+from slam_gym.scenarios.registry import SCENARIOS, floor_budget
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import FloorPlanError, Kind
 from slam_gym.world.floor_plan_file import load_floor_plan
@@ -52,7 +53,7 @@ def test_a_rectangle_is_exact_and_the_upper_row_lies_at_the_top():
     assert set(plan.features.kinds) == {Kind.CORNER}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("labelled", [True, False])
 def test_a_drawn_office_gives_back_its_rooms_doors_and_corners(seed, labelled):
     truth = OfficeGenerator(contents=Contents(pillars=0.0, furniture=0.0))(np.random.default_rng(seed))
@@ -113,6 +114,7 @@ def test_real_floors_can_be_driven(name, floors, data_dir):
     assert sum(room.area for room in plan.rooms if room.contains(cells).any()) >= 0.95 * area
     assert len(plan.doors) >= len(plan.rooms) - 15
     assert 0.06 < len(plan.features) / area < 0.3
+    assert name != "50052748" or 6_000 < floor_budget(plan, SCENARIOS["building"]) < 7_500
     assert len(thinned(plan.features.positions, np.zeros(len(plan.features)))) == len(plan.features)
 
 

@@ -17,7 +17,7 @@ LOCALITIES = ["everything", "distance", "covisibility"]
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@for_seeds(50)
+@for_seeds(30)
 def test_gcbb_finds_the_best_of_all_hypotheses(seed, locality):
     scan, landmarks, P, localities = oracles.small_problem(seed)
     found = gcbb(scan, landmarks, localities[locality])

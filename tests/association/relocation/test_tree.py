@@ -14,7 +14,7 @@ ALL = WalkSpec(candidates=100, order="as_scanned", node_limit=10**6)
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@for_seeds(40)
+@for_seeds(20)
 def test_on_offer_is_what_agrees_with_the_path_and_passed_by_is_what_nothing_agrees_with(seed, locality):
     scan, landmarks, P, localities, rng = walks.plant(seed)
     related, n = oracles.relation(localities[locality], len(landmarks)), len(landmarks)

@@ -52,7 +52,7 @@ def check(answer, prediction, ranking):
     assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
 
 
-@for_seeds(240)
+@for_seeds(120)
 def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
     scan, prediction = small_problem(seed)
     prediction = densities.dressed(prediction, seed)
@@ -62,7 +62,7 @@ def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(see
     assert not answer.effort.limit_hit
 
 
-@for_seeds(120)
+@for_seeds(60)
 def test_with_locality_what_is_near_is_decided_first(seed):
     # localities without strays: each pairing is local to all that are local to the first
     scan, prediction = small_problem(500 + seed, locality=True)

@@ -144,7 +144,7 @@ def summed(m, n, every, log_densities):
     return out
 
 
-@for_seeds(120)
+@for_seeds(80)
 def test_marginals_are_sums_over_every_hypothesis(seed):
     scan, prediction, every, scores = experienced(seed, locality=seed % 2 == 0)  # of which nothing is left out
     expected = summed(len(scan), len(prediction), every, scores)

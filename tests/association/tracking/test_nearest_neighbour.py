@@ -50,7 +50,7 @@ def cheapest(scan, prediction, confidence, allowed, given, _):
     return best
 
 
-@for_seeds(200)
+@for_seeds(100)
 def test_global_nearest_neighbour_is_the_cheapest_of_all_assignments(seed):
     scan, prediction, confidence = oracles.smaller_problem(seed, locality=seed % 2 == 0)
     rows = oracles.near_first(prediction, len(scan), functools.partial(cheapest, scan, prediction, confidence))

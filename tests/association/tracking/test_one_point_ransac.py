@@ -50,7 +50,7 @@ def one_point(scan, prediction, confidence, allowed, given, related):
     return rows
 
 
-@for_seeds(200)
+@for_seeds(100)
 def test_one_point_ransac_finds_the_best_anchor_when_all_are_drawn(seed):
     scan, prediction, confidence = oracles.smaller_problem(1000 + seed, locality=seed % 2 == 0)
     rows = oracles.near_first(prediction, len(scan), functools.partial(one_point, scan, prediction, confidence))
