@@ -47,13 +47,13 @@ def peak() -> float:
 
 @pytest.mark.parametrize("name", WEIGHING)
 def test_work_and_memory_are_bounded_and_the_answer_says_so(name):
-    for seed, measurements in enumerate((20, 150, 150)):
+    for seed, measurements in ((0, 20), (0, 150), (1, 150)):
         scan, prediction = lost_among(400, measurements, seed)
         if FORGET.exists():
             FORGET.write_text("5", encoding="utf-8")
         before = peak()
         answer = ASSOCIATORS[name](scan, prediction)
-        assert seed < 2 or peak() - before <= ALLOWED  # all is compiled by then, and what is kept is there
+        assert seed == 0 or peak() - before <= ALLOWED  # all is compiled by then, and what is kept is there
         assert answer.effort.limit_hit
         # the first look at each of up to eleven headings keeps four hypotheses
         assert answer.effort.joint_tests <= JOINT_TESTS + 11 * 4 * MOST_CANDIDATES
