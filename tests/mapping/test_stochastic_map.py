@@ -310,18 +310,12 @@ def test_a_file_that_holds_no_map_is_named(tmp_path: Path, content: bytes) -> No
 
 # --- what is a covariance, and arrays that cannot be written to -------------------------------------------------------
 
-SIZES = [1, 2, 3, 8, 21]
 
-
-def definite(rng: np.random.Generator, n: int) -> Array:
-    factor = rng.standard_normal((n, n))
-    return factor @ factor.T + 0.1 * np.eye(n)
-
-
-@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 21])
 def test_a_covariance_is_finite_symmetric_and_psd(n: int) -> None:
     rng = np.random.default_rng(n)
-    A = definite(rng, n)
+    factor = rng.standard_normal((n, n))
+    A = factor @ factor.T + 0.1 * np.eye(n)
     assert is_covariance(A) and is_covariance(np.zeros((n, n)))
     flat = rng.standard_normal((n, 1))
     assert is_covariance(flat @ flat.T)  # singular, yet a covariance
