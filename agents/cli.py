@@ -1,4 +1,4 @@
-"""What the commands share: typer commands whose groups of options are dataclasses, and how an evaluation is run."""
+"""Shared code of the commands: typer commands whose groups of options are dataclasses, and running an evaluation."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 def command(
     function: Callable[..., int | None], example: str, name: str | None = None, app: typer.Typer | None = None
 ) -> typer.Typer:
-    """The command of a function, `app = command(main, "slam-gym …")`, with an example for the end of its help; with a
-    name, one of several of an app.
+    """The typer app of a function, as in `app = command(main, "slam-gym …")`, with an example at the end of its help.
 
-    A parameter that is a dataclass, such as `World`, stands for the options that its fields are. An option that takes
-    several values takes them in a row, as in `--agents random learned`. Bad input ends in one line and exit code 2.
+    With `name` and `app`, the function becomes one of several commands of that app. A parameter that is a dataclass,
+    such as `World`, is replaced by options for its fields. An option with several values takes them in a row, as in
+    `--agents random learned`. Invalid input ends with one line of text and exit code 2.
     """
     hints = get_type_hints(function, include_extras=True)
     groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
@@ -50,25 +50,25 @@ def command(
 
 
 class _SeveralValues(typer.core.TyperCommand):
-    """A command whose options that may be repeated also take several values in a row."""
+    """A command whose repeatable options also take several values in a row."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
         repeated = {name for p in self.params if getattr(p, "multiple", False) for name in p.opts}
-        option, values, spread = "", 0, []
+        option, values, expanded = "", 0, []
         for word in args:
             if word.startswith("-"):
                 option, values = word, 0
             else:
-                spread += [option] if option in repeated and values else []
+                expanded += [option] if option in repeated and values else []
                 values += 1
-            spread.append(word)
-        return super().parse_args(ctx, spread)
+            expanded.append(word)
+        return super().parse_args(ctx, expanded)
 
 
 def evaluate(evaluation: Evaluation, execution: Execution, out: Path, films: Sequence[Callable[[], Path]] = ()) -> None:
-    """Carry it out, make its films, write its report and print its tables, all under a bar.
+    """Carry out an evaluation, make its films, write its report and print its tables, with progress bars.
 
-    Where it is interrupted, say how to go on.
+    If it is interrupted, prints how to resume it.
     """
     from rich.console import Console
     from rich.progress import track

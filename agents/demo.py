@@ -1,6 +1,6 @@
-"""One drive on bad wheels, mapped twice: `slam-gym demo` draws what nearest neighbour and the default make of it.
+"""One drive on bad wheels, mapped twice: `slam-gym demo` draws the maps of nearest neighbour and the default.
 
-Wheels and scans are the same; only the decisions on which feature is which differ.
+Odometry and scans are the same; only the associations differ.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ASSOCIATORS = ("nearest_neighbour", "learned")
 
 
 def one_drive(scenario: str, world: int) -> Array:
-    """(t, 2) the speeds of a drive by information gain, in [−1, 1], whose robot knows every association."""
+    """(t, 2) the speeds, in [−1, 1], of a drive by information gain with true associations."""
     from agents.drivers.base import make_agent, visible
 
     arguments = {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
@@ -34,11 +34,11 @@ def one_drive(scenario: str, world: int) -> Array:
     observation, info = env.reset(seed=world, options={"world": world})
     speeds, tick, over = [], env.episode.tick, False
 
-    def kept(forward: float, turn: float) -> None:
+    def recorded_tick(forward: float, turn: float) -> None:
         speeds.append((forward, turn))
         tick(forward, turn)
 
-    env.episode.tick = kept
+    env.episode.tick = recorded_tick
     while not over:
         observation, _, over, _, info = env.step(agent.act(observation, visible(info)))
     return np.array(speeds)
@@ -47,7 +47,7 @@ def one_drive(scenario: str, world: int) -> Array:
 def mapped(
     scenario: str, world: int, speeds: Array, *, watch: Callable[[Any], None] | None = None, **arguments: Any
 ) -> Any:
-    """The episode of the same drive, wheels and scans, with another SLAM; `watch(episode)` after each tick."""
+    """The episode with the same drive, odometry and scans, and another SLAM. Calls `watch(episode)` after each tick."""
     arguments |= {"scenario": scenario, "action": "twist", "disable_env_checker": True}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
     env.reset(seed=world, options={"world": world})
@@ -64,7 +64,7 @@ def main(
     associators: Associators = None,
     output: Annotated[Path, Option(metavar="FILE", help="The picture.")] = Path("demo.png"),
 ) -> None:
-    """Draw one drive on bad wheels as different associators map it."""
+    """Draw the maps that different associators make of one drive on bad wheels."""
     from matplotlib.figure import Figure
 
     from slam_gym.rendering.plot import plot_episode

@@ -1,6 +1,7 @@
-"""`slam-gym evaluate`: drivers on the same test worlds.
+"""`slam-gym evaluate`: evaluates drivers on the same test worlds.
 
-Writes into its folder: results.csv (one row per episode), results.json (what it depends on), report.html and films/.
+The command writes into its folder: results.csv (one row per episode), results.json (conditions and versions),
+report.html and films/.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typer import Option
 from agents.cli import command, evaluate
 from agents.options import Episodes, Execution, Names, World
 
-EPISODES = 4  # a first look in a minute; tables need 40
+EPISODES = 4  # for a first look in a minute; tables need 40
 
 
 def main(
@@ -21,7 +22,9 @@ def main(
     episodes: Episodes,
     execution: Execution,
     agents: Annotated[Names, Option(metavar="NAME …", help="See slam-gym list drivers; or module:Class.")] = None,
-    model: Annotated[list[Path] | None, Option(help="Of a learned agent; several are seeds of it, pooled.")] = None,
+    model: Annotated[
+        list[Path] | None, Option(help="File of a learned agent; several, as training seeds, are pooled.")
+    ] = None,
     trust: Annotated[bool, Option("--trust", help="Allow model files that can run code when read.")] = False,
     films: Annotated[bool, Option("--films/--no-films", help="Film the first episode of each agent.")] = True,
 ) -> None:
@@ -34,7 +37,7 @@ def main(
     drivers, filmed = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust), []
     evaluation = driver_evaluation(drivers, loops, numbers)
     if films:
-        from agents.reports.film import films_of  # ffmpeg and pygame are needed for films only
+        from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 
         filmed = films_of(drivers, loops[0], episodes.seed, out)
     evaluate(evaluation, execution, out, filmed)

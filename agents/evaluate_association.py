@@ -1,8 +1,8 @@
-"""`slam-gym evaluate-association` puts each associator into the loop on the same test worlds; `--suite` asks all of
-them about the same scans, one number per capability; `--recording` runs them over a real log.
+"""`slam-gym evaluate-association` runs each associator in the loop on the same test worlds; `--suite` evaluates them on
+the same scans, with one number per capability; `--recording` runs them over a real log.
 
-Writes into its folder: results.csv (one row per episode), results.json (what it depends on), report.html, and with
---film films/side-by-side.mp4.
+The command writes into its folder: results.csv (one row per episode), results.json (conditions and versions),
+report.html, and with --film films/side-by-side.mp4.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ class Loop(Scenes, Episodes):
 
 @dataclass(frozen=True)
 class Candidates:
-    """Who is evaluated: associators, and the searches that find a lost robot."""
+    """The evaluated associators and relocation searches."""
 
     associators: Associators = None
     relocation: Annotated[
         Names, Option(metavar="NAME …", help="See slam-gym list relocators; or module:function, none.")
     ] = None
-    split: Annotated[Literal["train", "test"], Option(help="Of the worlds; tune on train.")] = "test"
+    split: Annotated[Literal["train", "test"], Option(help="Split of the worlds; tune on train.")] = "test"
 
     @property
     def names(self) -> list[str]:
-        """Of the associators."""
+        """The names of the associators."""
         from agents.evaluation.associators import SHIPPED
 
         return self.associators or list(SHIPPED)
 
     def searches(self, default: list[str]) -> list[str | None]:
-        """Each search once."""
+        """The relocation searches, each once."""
         return [search_of(name) for name in dict.fromkeys(self.relocation or default)]
 
 
@@ -71,7 +71,7 @@ def main(
     if film and (suite or recording or not 2 <= len(candidates.names) <= 4):
         raise ValueError("--film shows drives of two to four associators: name them by --associators")
     kind = "suite" if suite else "recording" if recording else "association"
-    _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
+    _check_options_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
     out = execution.folder(kind)
     if suite:
         from agents.suite.worlds import suite_evaluation
@@ -90,7 +90,7 @@ def main(
         evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
         films: list[Callable[[], Path]] = []
         if film:
-            from agents.reports.film import beside  # ffmpeg and pygame are needed for films only
+            from agents.reports.film import beside  # imports ffmpeg and pygame, which only films need
 
             films = beside(loops[0], loop.driver, candidates.names, loop.seed, out)
         evaluate(evaluation, execution, out, films)
@@ -107,8 +107,8 @@ def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Pa
     return recording_evaluation(candidates.names, logs, conditions, out, candidates.searches([SEARCH]))
 
 
-def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:
-    """ValueError for an option that would be ignored, as `--experiments` without `--suite`."""
+def _check_options_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:
+    """Raise ValueError for an option that would be ignored, such as `--experiments` without `--suite`."""
     for other, options in groups.items():
         for field in fields(options) if other != kind else ():
             if getattr(options, field.name) != field.default:

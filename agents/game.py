@@ -1,4 +1,4 @@
-"""The game behind `slam-gym play`: hands on keys or a gamepad, a window, and a world to drive in."""
+"""The game of `slam-gym play`: controls by keyboard or gamepad, a window, and a world to drive in."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ HELP = """\
 
 You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
 has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
-where it has been, to make the ellipses shrink. At the end you are held against information gain, in the same world."""
+where it has been, to make the ellipses shrink. At the end your map error is compared with that of information gain."""
 KEYS = "arrows or WASD drive   C associator   L relocation   R again   N next world   Esc quit"
 RIVAL = "information_gain"
 
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
-"""What can be asked for, and its key, as pygame calls it."""
+"""The requests of the player, and their keys by pygame's names."""
 
-_IDLE = 0.15  # of a gamepad's stick: less is its rest position
+_IDLE = 0.15  # smaller values of a gamepad's stick are its rest position
 _BAR, _INK, _PALE = (28, 32, 38), (240, 240, 240), (170, 178, 188)
 _LINE = 18  # [pixels]
 
 
 class Controls:
-    """The human's hands: which keys are down or where the sticks are, and what they ask for."""
+    """The player's controls: the keys that are down, the positions of the sticks, and requests."""
 
     name = "you"
     action: ActionKind = "twist"
@@ -67,7 +67,7 @@ class Controls:
         return np.clip(np.sum([*held, sticks], axis=0), -1.0, 1.0).astype(np.float32)
 
     def poll(self) -> str | None:
-        """Take in what happened since the last call; one of `WISHES` where that was asked for."""
+        """Process the events since the last call; returns one of `WISHES` where the player asked for it."""
         pygame, wish = self._pygame, None
         for event in pygame.event.get():
             if event.type == pygame.QUIT:
@@ -85,7 +85,7 @@ class Controls:
 
 
 class Screen:
-    """The environment's picture, and lines of text below it, in a window of any size."""
+    """A resizable window with the environment's picture, and lines of text below it."""
 
     def __init__(self, fps: float) -> None:
         from slam_gym.rendering.canvas import Window  # extra `render`
@@ -108,33 +108,33 @@ class Screen:
 
 @dataclass
 class Game:
-    """What is played, and what the player may switch while it runs."""
+    """The settings of a game, including those that the player can switch while it runs."""
 
     arguments: ExploreArguments
     agent: Agent
     controls: Controls
-    associators: deque[str]  # the first associates; none where the truth does, which nothing may stand in for
+    associators: deque[str]  # the first is in use; empty for true association, which cannot be switched
     relocating: bool
     rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
 
     def make(self) -> gym.Env[Any, Any]:
-        """The environment, in which the player decides who associates and whether a lost robot is searched for."""
+        """The environment, in which the player selects the associator, and switches relocation."""
         associator = self.associate if self.associators else None
         return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
 
     def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        """By the associator that is switched on."""
+        """The hypothesis of the selected associator."""
         return find_associator(self.associators[0])(scan, prediction)
 
     def relocate(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-        """Nothing is found while relocation is off."""
+        """The result of the relocation search, or no pose while relocation is off."""
         if self.relocating:
             return resolve_relocator(self.arguments.relocation or SEARCH)(scan, landmarks, locality)
-        nowhere = np.full(len(scan), UNPAIRED)
-        return Relocation(nowhere, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
+        unpaired = np.full(len(scan), UNPAIRED)
+        return Relocation(unpaired, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
 
     def rival(self, world: int) -> float:
-        """What information gain makes of a world, with the scenario's associator."""
+        """The map error of information gain in a world, with the scenario's associator."""
         if world not in self.rivals:
             rival = make_agent(RIVAL)
             env = self.arguments.make(rival.action)
@@ -143,27 +143,27 @@ class Game:
         return self.rivals[world]
 
     def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
-        """What stands under the picture."""
+        """The text below the picture."""
         episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
         associator = self.associators[0] if self.associators else CEILING
         relocation = "on" if self.relocating else "off"
-        now = (
+        state = (
             f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
             f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
         )
-        return [now, *([verdict] if verdict else []), KEYS]
+        return [state, *([verdict] if verdict else []), KEYS]
 
 
 def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
-    """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
+    """Play one world; returns the request that ended it. After the last tick, the picture stays until a request."""
     observation, info = begin_episode(env, game.agent, world)
-    taken, ended, verdict = 0, False, ""
+    count, ended, verdict = 0, False, ""
     while True:
         picture: Any = env.render()
         screen.show(picture, game.lines(env, verdict))
-        if taken == 0 and not screen.window.is_visible:
+        if count == 0 and not screen.window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
-        if taken == steps:
+        if count == steps:
             return "quit"
         wish = game.controls.poll()
         if wish == "associator":
@@ -174,7 +174,7 @@ def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: 
             return wish
         if not ended:
             observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
-            taken += 1
+            count += 1
             if ended:
                 verdict = _verdict(game, world, info)
                 print(verdict)

@@ -1,9 +1,9 @@
-"""`slam-gym leaderboard --entry jcbb` puts an entry through the frozen protocol, and ranks it.
+"""`slam-gym leaderboard --entry jcbb` evaluates an entry by the frozen protocol, and ranks it.
 
-An entry is an agent, an associator or a relocator, by name, `module:Class`, `module:function` or model file. It runs in
-a process of its own, and sees observations only. Writes into --board: ROLE-NAME.json, and leaderboard.md, which ranks
-all entries there and those that ship. Without --entry, the page is made again. An interrupted entry goes on when its
-command is given again.
+An entry is an agent, an associator or a relocator: a name, `module:Class`, `module:function` or a model file. It runs
+in a process of its own, and receives observations only. The command writes into --board: ROLE-NAME.json, and
+leaderboard.md, which ranks all entries there and the shipped ones. Without --entry, it only makes the page again. The
+same command resumes an interrupted entry.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from agents.ranking.protocol import Role
 
 MARKS = "<!-- the tables: slam-gym leaderboard --page FILE -->", "<!-- end of the tables -->"
-"""Between these a page gets its tables."""
+"""The marks between which a page gets its tables."""
 
 
 def main(
@@ -32,13 +32,13 @@ def main(
         str | None, Option(metavar="NAME", help="Name, module:Class, module:function, model file.")
     ] = None,
     role: Annotated[
-        Literal["agent", "associator", "relocator"] | None, Option(help="By default as NAME tells.")
+        Literal["agent", "associator", "relocator"] | None, Option(help="By default derived from NAME.")
     ] = None,
     board: Annotated[Path, Option(metavar="DIR", help="Where entries and the page go.")] = Path("leaderboard"),
     quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry; ranked apart.")] = False,
     page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,
 ) -> None:
-    """Rank an entry by the frozen protocol, or rank all once more."""
+    """Evaluate and rank an entry by the frozen protocol, or rank all entries again."""
     from agents.evaluation.records import write_whole
     from agents.ranking.board import BASELINES, markdown, read_entries
 
@@ -56,7 +56,7 @@ def main(
 
 
 def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> None:
-    """Put the entry through the protocol, or through what is left of it, and write its file."""
+    """Evaluate the entry by the protocol, or by the rest of it, and write its file."""
     from agents.evaluation.pipeline import METADATA, carry_out
     from agents.evaluation.records import command_line
     from agents.ranking.board import ranked, write_entry
@@ -64,9 +64,9 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
-    if entry != CEILING:  # which no process is told of
+    if entry != CEILING:  # no process runs it, since it uses the truth
         try:
-            process(role, entry)  # refuses what is none before anything is written
+            process(role, entry)  # raises for an invalid entry, before anything is written
         except EntryError as error:
             raise ValueError(str(error)) from None
     chosen = Protocol(role, quick)
@@ -81,7 +81,7 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
 
 
 def _role_of(entry: str) -> Role:
-    """By the tables of names, and by what a training writes; a `module:Class` is an agent."""
+    """The role of an entry, from the tables of names and the suffix of a model file. A `module:Class` is an agent."""
     if Path(entry).suffix == ".npz":
         return "associator"
     from agents.drivers.base import AGENTS
@@ -95,7 +95,7 @@ def _role_of(entry: str) -> Role:
 
 
 def with_tables(page: str, tables: str) -> str:
-    """The page with the tables between its marks. Raises ValueError where it has none."""
+    """The page with the tables between its marks. Raises ValueError where it has no marks."""
     before, begin, rest = page.partition(MARKS[0])
     _, end, after = rest.partition(MARKS[1])
     if not (begin and end):

@@ -1,4 +1,4 @@
-"""`slam-gym play`: drive the robot yourself and watch its map grow. Or watch an agent: `--agent NAME`."""
+"""`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def main(
 
     watched = make_agent(agent, model) if agent else None
     arguments, controls = world_options.arguments("office", split="train"), Controls()
-    probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
+    probe: Any = arguments.make("twist").unwrapped  # raises for unknown names; contains the scenario's associator
     names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))

@@ -1,4 +1,4 @@
-"""`slam-gym record-decisions`: what an associator decides in Associate-v0, as a Minari data set."""
+"""`slam-gym record-decisions`: writes the decisions of an associator in Associate-v0 as a Minari data set."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ class Decided(NamedTuple):
     observations: dict[str, NDArray[np.float32]]  # parts (t + 1, …): before each decision, and after the last
     masks: NDArray[np.bool_]  # (t, k + 1) legal actions
     actions: NDArray[np.int64]  # (t,)
-    right: NDArray[np.int64]  # (t,) what the truth would have taken; −1 where that is unknown or not on offer
+    right: NDArray[np.int64]  # (t,) the right actions; −1 where unknown or not on offer
     rewards: NDArray[np.float64]  # (t,)
     world: int
 
 
 def decisions(env: gym.Env[Any, Any], associator: str | Callable[..., Any], worlds: range) -> Iterator[Decided]:
-    """Each world's episode of Associate-v0, decided by an associator; `true_association` is told the truth.
+    """The episode of Associate-v0 in each world, decided by an associator; `true_association` uses the truth.
 
-    A feature that is not on offer is left unpaired. ValueError for an associator that nobody knows.
+    A measurement whose feature is not on offer is left unpaired. Raises ValueError for an unknown associator.
     """
     from agents.evaluation.episodes import reset_arguments
     from slam_gym.association import resolve_associator
     from slam_gym.simulation.judged import CEILING
 
-    associate, bare, told = resolve_associator(associator), env.unwrapped, associator == CEILING
+    associate, bare, uses_truth = resolve_associator(associator), env.unwrapped, associator == CEILING
     for world in worlds:
         observation, info = env.reset(**reset_arguments(world))
-        seen, steps, look, over, answer = [observation], [], -1, False, None
+        observations, steps, look, over, answer = [observation], [], -1, False, None
         while not over:
             mask, right = info["action_mask"], info["truth"]["action"]
-            if not told and info["look"] != look:
+            if not uses_truth and info["look"] != look:
                 look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)  # type: ignore[attr-defined]
-            action = right if told else bare.action_of(answer)  # type: ignore[attr-defined]
+            action = right if uses_truth else bare.action_of(answer)  # type: ignore[attr-defined]
             if action is None or action < 0:
                 action = bare.K  # type: ignore[attr-defined]
             observation, reward, terminated, truncated, info = env.step(action)
             over = terminated or truncated
-            seen.append(observation)
+            observations.append(observation)
             steps.append((mask, action, right, reward))
         masks, actions, rights, rewards = (np.array(column) for column in zip(*steps))
-        parts = {name: np.stack([one[name] for one in seen]) for name in seen[0]}
+        parts = {name: np.stack([each[name] for each in observations]) for name in observations[0]}
         yield Decided(parts, masks.astype(bool), actions, rights, rewards, world)
 
 
@@ -62,22 +62,22 @@ def main(
     world: AssociateWorld,
     episodes: Episodes,
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
-    split: Annotated[Literal["train", "test"], Option(help="Of the worlds.")] = "train",
-    dataset: Annotated[str, Option(metavar="NAME", help="Of the data set, as Minari names them.")] = "",
+    split: Annotated[Literal["train", "test"], Option(help="Split of the worlds.")] = "train",
+    dataset: Annotated[str, Option(metavar="NAME", help="Name of the data set, in Minari's form.")] = "",
 ) -> None:
-    """Write an associator's decisions into a Minari data set: pip install 'slam_gym[minari]'."""
+    """Write an associator's decisions to a Minari data set: pip install 'slam_gym[minari]'."""
     import minari
     from minari.data_collector import EpisodeBuffer
 
     worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES)
     name = dataset or f"slam_gym/{'-'.join(each.scenario for each in worlds)}/{associator}-v0"
     envs = [each.make() for each in worlds]
-    for each, own in ((each, one) for each, env in zip(worlds, envs) for one in decisions(env, associator, numbers)):
-        ends = np.arange(1, len(own.actions) + 1) == len(own.actions)
-        taken, infos = (own.observations, own.actions, own.rewards), {"action_mask": own.masks, "right": own.right}
-        buffers.append(EpisodeBuffer(own.world, own.world, None, *taken, ends, np.zeros_like(ends), infos))
-        right, earned = np.mean(own.actions == own.right), own.rewards.sum()
-        print(f"{each.scenario}, world {own.world}: {len(ends)} decisions, {right:.0%} right, return {earned:.2f}")
+    for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
+        ends = np.arange(1, len(e.actions) + 1) == len(e.actions)
+        steps, infos = (e.observations, e.actions, e.rewards), {"action_mask": e.masks, "right": e.right}
+        buffers.append(EpisodeBuffer(e.world, e.world, None, *steps, ends, np.zeros_like(ends), infos))
+        right, total = np.mean(e.actions == e.right), e.rewards.sum()
+        print(f"{each.scenario}, world {e.world}: {len(ends)} decisions, {right:.0%} right, return {total:.2f}")
     minari.create_dataset_from_buffers(
         name, buffers, env=envs[0], algorithm_name=associator, description="Decisions of an associator in Associate-v0"
     )

@@ -1,4 +1,4 @@
-"""`slam-gym report`: the report of a finished evaluation, made again from its folder."""
+"""`slam-gym report`: makes the report of an evaluation again from its folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typer import Argument
 from agents.cli import command
 
 
-def main(folder: Annotated[Path, Argument(metavar="DIR", help="That an evaluation wrote into.")]) -> None:
+def main(folder: Annotated[Path, Argument(metavar="DIR", help="The folder of an evaluation.")]) -> None:
     """Make the report of an evaluation again."""
     from agents.reports.page import write_report
 

@@ -1,8 +1,8 @@
-"""`slam-gym reproduce driver|associator` trains from nothing what ships.
+"""`slam-gym reproduce driver|associator` trains the shipped driver or associator from nothing.
 
-Writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the card that ships, with the
-interval that it should lie in; exit status 1 where one lies outside. `--quick` takes a small part of the worlds: it
-shows that the training runs and learns, not that it comes to the same.
+The command writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the shipped card,
+with the interval in which it should lie; the exit status is 1 where one lies outside. `--quick` uses a small part of
+the worlds: it shows that the training runs and learns, not that its result is the same.
 """
 
 from __future__ import annotations
@@ -19,31 +19,33 @@ from agents.evaluation.records import results_folder
 
 def main(
     target: Annotated[Literal["associator", "driver"], Argument(help="What to train.")],
-    quick: Annotated[bool, Option("--quick", help="A few worlds, a few minutes: that it runs and learns.")] = False,
+    quick: Annotated[
+        bool, Option("--quick", help="A few worlds, a few minutes: checks that it runs and learns.")
+    ] = False,
     output: Annotated[Path | None, Option(metavar="DIR", help="By default results/reproduce-TIME.")] = None,
 ) -> int:
-    """Train from nothing what ships, and compare."""
+    """Train the shipped driver or associator from nothing, and compare."""
     from slam_gym import weights
 
     module = importlib.import_module(f"agents.learning.{target}")
-    found: weights.Weights = module.reproduce(
+    trained: weights.Weights = module.reproduce(
         quick, f"slam-gym reproduce {target}", lambda text: print(text, flush=True)
     )
     path = (output or results_folder("reproduce", resume=False)) / f"{target}.npz"
-    weights.write(path, found)
+    weights.write(path, trained)
     print(f"wrote {path}")
-    lines, outside = compared(found.card.metrics, {} if quick else weights.card_of(target).metrics)
+    lines, outside = compared(trained.card.metrics, {} if quick else weights.card_of(target).metrics)
     print("\n".join(lines))
     if not quick:
         print(f"verdict: {f'{outside} of {len(lines)}' if outside else 'no'} figures OUTSIDE the card")
     return 1 if outside else 0
 
 
-def compared(found: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str], int]:
-    """A line for each figure: what was found, and what the card says, `estimate` within `low` … `high`; and how many
-    figures lie outside."""
+def compared(trained: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str], int]:
+    """A line for each figure of a training, beside `estimate` and `low` … `high` of the shipped card; and the number of
+    figures that lie outside."""
     lines, outside = [], 0
-    for name, figure in found.items():
+    for name, figure in trained.items():
         line, card = f"{name}: {figure['estimate']:.4g}", shipped.get(name)
         if card is not None:
             inside = card["low"] <= figure["estimate"] <= card["high"]

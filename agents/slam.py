@@ -1,7 +1,7 @@
-"""SLAM on a log of one's own: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
+"""SLAM on a user's log: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
 
 LOG.map.csv     id, x, y [m], standard deviations [m] and sightings of every feature, in the frame of the first pose
-LOG.path.tum    the robot at every step, for evo and others
+LOG.path.tum    the robot's pose at every step, for evo and other tools
 LOG.png         features with ellipses of two standard deviations, and the path
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array]:
-    """The SLAM after a log, and its poses (T, 3) [m, m, rad]."""
+    """Run SLAM over a log; returns it with its poses (T, 3) [m, m, rad]."""
     from slam_gym.scenarios.registry import slam_for
     from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.relocate import relocate_by
@@ -43,8 +43,8 @@ def main(
         str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or see slam-gym list recordings.")
     ],
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
-    relocation: Annotated[str | None, Option(metavar="NAME", help="Finds a lost robot; or none.")] = None,
-    output: Annotated[Path, Option(metavar="DIR", help="Where the files go.")] = Path("."),
+    relocation: Annotated[str | None, Option(metavar="NAME", help="Search that finds a lost robot; or none.")] = None,
+    output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:
     """Map a log: features, path, picture."""
     import pandas as pd

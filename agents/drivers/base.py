@@ -1,7 +1,7 @@
-"""What an agent is, and the list of those that ship.
+"""The protocol of agents, and the list of the shipped ones.
 
-A new agent is one class with `name`, `action`, `reset` and `act`, and one line in `AGENTS`; or no line at all, since
-`module:Class` is accepted wherever a name is.
+A new agent is one class with `name`, `action`, `reset` and `act`, and optionally one line in `AGENTS`: `module:Class`
+is accepted wherever a name is.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Agent(Protocol):
 
 
 class GoalDriver:
-    """What drivers that choose among goals have in common; one that remembers nothing has no `reset` of its own."""
+    """The base class of drivers that choose among goals. A driver without memory need not define `reset`."""
 
     name: str
     action: ActionKind = "goal"
@@ -61,11 +61,11 @@ AGENTS: dict[str, str] = {
 }
 
 BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")
-"""The classical ones: they need no model file."""
+"""The classical drivers, which need no model file."""
 
 SHOWN = (*BASELINES, "learned", "clairvoyant")
-"""Whom an evaluation compares unless it is told otherwise: with them the one that ships trained, and the one that is
-shown the truth."""
+"""The default drivers of an evaluation: the classical ones, the shipped learned driver, and the one that knows the
+truth."""
 
 LOOK_AROUND = 0
 """The goal that is always legal."""
@@ -74,12 +74,12 @@ _VISIBLE = ("pose", "ticks", "action_mask")
 
 
 def visible(info: Info) -> dict[str, Any]:
-    """The part of `info` that an agent may see: nothing that is measured against the truth."""
+    """The part of `info` that an agent may see, which depends on no truth."""
     return {key: info[key] for key in _VISIBLE if key in info}
 
 
 def find_agent(name: str) -> Any:
-    """The class behind a name of `AGENTS` or a `module:Class`. ValueError lists the known names."""
+    """The class of a name in `AGENTS` or of `module:Class`. Raises ValueError, listing the known names."""
     return imported("agent", AGENTS.get(name, name), AGENTS)
 
 
@@ -89,7 +89,7 @@ def is_learned(name: str) -> bool:
 
 
 def make_agent(name: str, model: Path | str | None = None, *, trust: bool = False) -> Agent:
-    """A fresh agent. Learned ones need a model file; `trust` allows formats that can run code when they are read."""
+    """A new agent. Learned ones need a model file; `trust` allows formats that can run code when they are read."""
     cls = find_agent(name)
     if not hasattr(cls, "load"):
         return cast(Agent, cls())
@@ -99,5 +99,5 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
 
 
 def legal_goals(info: Info) -> NDArray[np.bool_]:
-    """Which goals may be chosen, (K,); slot 0, to look around, always may."""
+    """(K,) which goals are legal; slot 0, to look around, always is."""
     return np.asarray(info["action_mask"], dtype=bool)

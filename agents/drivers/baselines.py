@@ -16,12 +16,12 @@ LANE_WIDTH = 4.0  # [m] lanes run along the x axis of the map base B
 PRIOR_SIGMA = 0.5  # [m] σ₀ of a feature that has not been seen
 DENSITY = 0.3  # [1/m²] features expected per area of new floor
 SPEED = 0.08  # [m/tick] along a path, turns included
-OVERHEAD = 5.0  # [ticks] to set off and to stop
+OVERHEAD = 5.0  # [ticks] to start and to stop
 LOOK = 32.0  # [ticks] to turn round once
 
 
 class RandomAgent(GoalDriver):
-    """One of the legal goals, uniformly."""
+    """Chooses a legal goal uniformly at random."""
 
     name = "random"
 
@@ -33,8 +33,8 @@ class RandomAgent(GoalDriver):
 
 
 class NearestFrontier(GoalDriver):
-    """The legal frontier with the shortest path (Yamauchi, CIRA 1997). With no frontier left the floor counts as
-    explored, and it stays."""
+    """Chooses the legal frontier with the shortest path (Yamauchi, CIRA 1997). With no frontier left, it stays and
+    looks around."""
 
     name = "nearest_frontier"
 
@@ -47,11 +47,11 @@ class NearestFrontier(GoalDriver):
 
 
 class Lawnmower(GoalDriver):
-    """Frontiers in the order of a lawn-mower (boustrophedon; Choset 2001): along the lane while it goes on ahead, else
-    turn into the nearest lane.
+    """Visits frontiers in lanes back and forth (boustrophedon; Choset 2001): the next frontier ahead in the lane, or
+    else one of the nearest lane.
 
-    Frontiers are what blocks a lane in an unknown building, so the sweep goes from one to the next instead of along
-    straight lines. When no frontier is left, the lanes are driven again over the revisits, which closes loops.
+    Frontiers are what ends a lane in an unknown building, so the sweep goes from one to the next instead of along
+    straight lines. When no frontier is left, it drives the lanes again over the revisits, which closes loops.
     """
 
     name = "lawnmower"
@@ -80,7 +80,7 @@ class Lawnmower(GoalDriver):
         if not here.any():
             self._lane = int(lanes[np.argmin(np.abs(lanes - self._lane))])
             here = lanes == self._lane
-        # Ahead of the robot comes first, the nearest first; what lies behind comes last.
+        # goals ahead of the robot come first, by distance, then those behind it
         order = np.where(ahead > 0.0, ahead, 1e3 + np.abs(ahead))
         return int(slots[np.argmin(np.where(here, order, np.inf))])
 
@@ -89,7 +89,7 @@ class Lawnmower(GoalDriver):
 
 
 def rates(goals: dict[str, Array]) -> Array:
-    """(k,) [m² per tick] that each of the goals, as `unsquash_goals` gives them, takes out of the map."""
+    """(k,) [m² per tick] by which each of the goals from `unsquash_goals` reduces the uncertainty of the map."""
     ticks = OVERHEAD + goals["path"] / SPEED
     ticks[LOOK_AROUND] = LOOK
     out: Array = (2.0 * PRIOR_SIGMA**2 * DENSITY * goals["area"] + goals["reduction"]) / ticks
@@ -97,12 +97,12 @@ def rates(goals: dict[str, Array]) -> Array:
 
 
 class InformationGain(GoalDriver):
-    """The goal that takes the most uncertainty out of the map per tick: the greatest of
+    """Chooses the goal that reduces the uncertainty of the map most per tick: the maximum of
     (2 σ₀² · density · expected new area + expected trace reduction) / ticks.
 
-    A-optimality is the trace of the covariance (Sim and Roy, ICRA 2005). A feature that has not been seen counts with
-    its prior σ₀² per coordinate, so new area and revisits are weighed on one scale. A place that the robot has gone
-    back to, or where it has looked around, promises the less the more often it has.
+    A-optimality is the trace of the covariance (Sim and Roy, ICRA 2005). An unseen feature counts with its prior σ₀²
+    per coordinate, so that new area and revisits are on one scale. The rate of a revisit falls with the number of
+    visits to its place, and that of looking around is 0 where the robot has done so before.
     """
 
     name = "information_gain"
@@ -125,7 +125,7 @@ class InformationGain(GoalDriver):
 
 
 class InformationGainNoRevisits(InformationGain):
-    """The same without revisits: what it scores less is what they are worth."""
+    """Information gain without revisits, to measure the value of revisits."""
 
     name = "information_gain_no_revisits"
 

@@ -1,6 +1,6 @@
 """The driver that knows the building: the upper reference among drivers, as `true_association` is among associators.
 
-It is shown the plan, where it truly is, and which features its map holds. What it does not know is the noise to come.
+It knows the plan, its true pose, and which features its map contains. It does not know the noise to come.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.ray_casting import pull_back
 
 SPEED = 0.09  # [m/tick] along a path
-OVERHEAD = 6.0  # [ticks] of a leg: to turn, to set off and to stop
+OVERHEAD = 6.0  # [ticks] of a leg, to turn, to start and to stop
 LOOK = 32.0  # [ticks] to turn round once
-TOURS = 32  # tried from each goal
-NOISE = 0.4  # σ of the logarithm of a factor on what each viewpoint promises, drawn for each tour
-EARLY = 0.2  # a feature that is mapped at once counts so much more than one at the end: plans may fail
-ENOUGH = 0.5  # [features] a plan that promises less is none
+TOURS = 32  # tours that are tried from each goal
+NOISE = 0.4  # σ of the logarithm of a random factor on the gain of each viewpoint, drawn for each tour
+EARLY = 0.2  # a feature mapped at once counts by this fraction more than one at the end, since plans may fail
+ENOUGH = 0.5  # [features] least expected gain of a plan
 
 _SURE = 0.95  # of the sensor's range, up to which a feature is seen often enough to be mapped
 _SPACING = 1.2  # [m] between viewpoints
-_VIEWPOINTS = (24, 160)  # at least and at most; larger buildings have fewer, farther apart,
-_WORDS = 4_000_000  # so that what is seen on all ways takes no more of these if it can
+_VIEWPOINTS = (24, 160)  # least and largest number; larger buildings have fewer, farther apart
+_WORDS = 4_000_000  # limit on the memory for what is seen on all paths, which determines that number
 
 Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""
 
 
 class Clairvoyant(GoalDriver):
-    """The goal from which the best tour over the true rooms, in the ticks that are left, maps most features.
+    """Chooses the goal from which the best tour over the true rooms maps most features in the remaining ticks.
 
-    Where no goal leads to anything more, it drives as information gain does.
+    Where no goal leads to further features, it drives by information gain.
     """
 
     name = "clairvoyant"
@@ -52,7 +52,7 @@ class Clairvoyant(GoalDriver):
         self._without_plan = InformationGain()
 
     def behold(self, episode: Episode) -> None:
-        """Be shown the truth behind an episode that has just begun."""
+        """Receive the truth behind an episode that has just begun."""
         self._episode, rng = episode, np.random.default_rng(0)
         self._views = views = TrueViews(episode.site, episode.scenario.sensor.range)
         ticks = OVERHEAD + views.ways.lengths[:, views.viewpoints] / SPEED
@@ -64,9 +64,9 @@ class Clairvoyant(GoalDriver):
         return int(np.argmax(values)) if values.max() > ENOUGH else otherwise
 
     def values(self, observation: Observation, info: Info) -> Array:
-        """(SLOTS,) by how many features the map should be better in the end, by each goal; −inf where not legal.
+        """(SLOTS,) [features] the expected gain of the final map by each goal; −inf where not legal.
 
-        Raises RuntimeError before the truth was shown.
+        Raises RuntimeError before `behold`.
         """
         if self._episode is None:
             raise RuntimeError("the clairvoyant driver has not been shown an episode: call behold(episode)")
@@ -80,23 +80,23 @@ class Clairvoyant(GoalDriver):
         values = np.full(len(legal), -np.inf)
         for k in np.flatnonzero(legal):
             seen, rest = ways.seen[0, there[k]], left - ticks[k]
-            found = gained(known, seen, worth)
+            gain = gained(known, seen, worth)
             if rest > 0.0:
                 early = EARLY * rest / left
-                values[k] = found * (1.0 + early) + self._best_tour(there[k], rest, known | seen, worth, early)
+                values[k] = gain * (1.0 + early) + self._best_tour(there[k], rest, known | seen, worth, early)
             else:
-                values[k] = found * left / ticks[k]
+                values[k] = gain * left / ticks[k]
         return values
 
     def _best_tour(self, cell: np.int64, left: float, known: Bits, worth: Array, early: float) -> float:
-        """What the best tour from a cell brings, in the ticks that are left."""
+        """The gain of the best tour from a cell in the remaining ticks."""
         ways = self._views.ways
         start = OVERHEAD + ways.lengths[:, cell] / SPEED, np.ascontiguousarray(ways.seen[:, cell])
         return best_tour(start, self._between, left, known, worth, self._chance, early)
 
 
 def mapped_already(episode: Episode) -> Bits:
-    """The features that the map holds."""
+    """The features that the map contains."""
     mapped = np.zeros(len(episode.site.plan.features), np.bool_)
     for part in episode.slam.maps:
         sources = episode.identities.source_of(part.ids[~part.provisional])
@@ -105,19 +105,19 @@ def mapped_already(episode: Episode) -> Bits:
 
 
 def worth_of(episode: Episode) -> Array:
-    """(n,) by how much each feature lowers N · E where it is mapped from a pose that is as wrong as now: 1 at best, −1
-    where it ends up so far off that it is missing still, and false besides."""
+    """(n,) by how much each feature lowers N · E if it is mapped with the present pose error: 1 at best, −1 where it is
+    so far off that it counts as missed and as false."""
     true = episode.site.plan.features.positions
     mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
     return 1.0 - np.minimum(np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma, 2.0)
 
 
-# -- tours: orienteering by many greedy tours that chance varies -------------------------------------------------------
+# -- tours: orienteering by many randomised greedy tours ---------------------------------------------------------------
 
 
 @compiled
 def gained(seen: Bits, more: Bits, worth: Array) -> float:
-    """What the features of `more` (w,) that are not among those `seen` (w,) are `worth` (n,) together."""
+    """The sum of `worth` (n,) over the features that are in `more` (w,) but not in `seen` (w,)."""
     total, one = 0.0, np.uint64(1)
     for w in range(len(seen)):
         word = more[w] & ~seen[w]
@@ -129,16 +129,16 @@ def gained(seen: Bits, more: Bits, worth: Array) -> float:
 
 
 Legs = tuple[Array, Bits]
-"""How long ways take [ticks], to viewpoints (…, v), and what is seen on them, (…, v, w)."""
+"""Durations [ticks] of paths to viewpoints (…, v), and the features seen on them, (…, v, w)."""
 
 
 @compiled
 def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, early: float) -> float:
-    """What the best of some tours through viewpoints brings: the `worth` (n,) of new features, each of which counts up
-    to `early` more the earlier it is seen.
+    """The gain of the best of several tours through viewpoints: the `worth` (n,) of new features, increased by a
+    fraction of up to `early` the earlier they are seen.
 
-    Legs lead from the `start` to each viewpoint, and `between` any two of them; `left` [ticks] is what is left, `seen`
-    (w,) what is known. There are as many tours as rows of `chance` (tours, v).
+    Legs lead from the `start` to each viewpoint, and `between` any two of them; `left` are the remaining ticks, `seen`
+    (w,) the known features. There is a tour for each row of `chance` (tours, v).
     """
     best = 0.0
     for tour in range(chance.shape[0]):
@@ -151,37 +151,37 @@ def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array,
 def _tour(
     start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, power: float, early: float
 ) -> float:
-    """A tour that goes on with the leg of the most gain / ticks^`power`, times the `chance` (v,) of its end."""
+    """The gain of a tour whose next leg maximises gain / ticks^`power` times the `chance` (v,) of its end."""
     (costs, views), (ticks, legs), rest, total = start, between, left, 0.0
     while True:
-        chosen, top, found = -1, 0.0, 0.0
+        chosen, best, chosen_gain = -1, 0.0, 0.0
         for v in range(len(chance)):
             if costs[v] > rest:
                 continue
             gain = gained(seen, views[v], worth)
-            if gain > 0.0 and gain / costs[v] ** power * chance[v] > top:
-                chosen, top, found = v, gain / costs[v] ** power * chance[v], gain
+            if gain > 0.0 and gain / costs[v] ** power * chance[v] > best:
+                chosen, best, chosen_gain = v, gain / costs[v] ** power * chance[v], gain
         if chosen < 0:
             return total
         rest -= costs[chosen]
         for w in range(len(seen)):
             seen[w] |= views[chosen, w]
-        total += found * (1.0 + early * rest / max(left, 1.0))
+        total += chosen_gain * (1.0 + early * rest / max(left, 1.0))
         costs, views = ticks[chosen], legs[chosen]
 
 
-# -- what is seen from every place, and on every way between places ----------------------------------------------------
+# -- features seen from every place, and on every path between places ------------------------------------------------
 
 
 class Ways(NamedTuple):
-    """The shortest ways from some cells to all cells, and what is seen on them: the same there and back."""
+    """The shortest paths from some cells to all cells, and the features seen on them, in either direction."""
 
-    lengths: Array  # (s, c) [m]; inf where none leads
-    seen: Bits  # (s, c, w) from the cells of the way, both ends included
+    lengths: Array  # (s, c) [m]; inf where there is no path
+    seen: Bits  # (s, c, w) from the cells of the path, both ends included
 
 
 class TrueViews:
-    """Views of one building: `cells` (c, 2) [m] in W, the `viewpoints` (v,) among them, and the `ways` from those."""
+    """Views of one building: `cells` (c, 2) [m] in W, `viewpoints` (v,) among them, and the paths from those."""
 
     def __init__(self, site: Site, sensor_range: float) -> None:
         self.cells = site.cells
@@ -192,7 +192,7 @@ class TrueViews:
         self.ways = self.ways_from(self.viewpoints)
 
     def ways_from(self, sources: IntArray) -> Ways:
-        """The ways from `sources` (s,), indices of cells."""
+        """The paths from `sources` (s,), indices of cells."""
         lengths, before = dijkstra(self._graph, indices=sources, return_predecessors=True)
         return Ways(lengths, _along(np.argsort(lengths, axis=1), before, self.seen, lengths))
 
@@ -203,14 +203,14 @@ class TrueViews:
 
 
 def bits_of(chosen: BoolArray) -> Bits:
-    """The sets (…, w) of the features that are `chosen` (…, n)."""
+    """The features that are `chosen` (…, n), as sets (…, w)."""
     words = np.zeros((*chosen.shape[:-1], 64 * max(1, -(-chosen.shape[-1] // 64))), np.bool_)
     words[..., : chosen.shape[-1]] = chosen
     return np.packbits(words, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
 
 
 def _spread(cells: Array, most: int) -> IntArray:
-    """Cells far from each other, (v,): each next one is the farthest from all before."""
+    """(v,) cells far from each other: each is the farthest from all before."""
     chosen, gaps = [0], np.hypot(*(cells - cells[0]).T)
     while len(chosen) < most and gaps.max() > _SPACING:
         chosen.append(int(gaps.argmax()))
@@ -219,7 +219,7 @@ def _spread(cells: Array, most: int) -> IntArray:
 
 
 def _graph(cells: Array) -> sparse.csr_matrix:
-    """Neighbouring cells, eight around each, joined by their distance; across a corner only past two other cells."""
+    """Distances between neighbouring cells, eight around each; diagonals only where both cells beside them exist."""
     across = np.diff(np.unique(cells[:, 0]))
     side = float(across.min()) if len(across) else 1.0
     columns, rows = np.rint((cells - cells.min(axis=0)) / side).astype(np.int64).T + 1
@@ -238,7 +238,7 @@ def _graph(cells: Array) -> sparse.csr_matrix:
 
 
 def _seen_from(site: Site, reach: float) -> Bits:
-    """(c, w) the features that count, within `reach` [m] and that no wall hides, from each cell of the site."""
+    """(c, w) the observable features within `reach` [m] of each cell of the site that no wall hides."""
     features, short = site.plan.features.positions, pull_back(site.plan.features)
     seen = np.zeros((len(site.cells), len(features)), np.bool_)
     for cell, row in zip(site.cells, seen):
@@ -249,7 +249,7 @@ def _seen_from(site: Site, reach: float) -> Bits:
 
 @compiled
 def _along(order: IntArray, before: NDArray[np.int32], seen: Bits, lengths: Array) -> Bits:
-    """(s, c, w) what is seen on the ways, cell by cell from the nearest on."""
+    """(s, c, w) the features seen on paths, cell by cell in `order`, the nearest first."""
     out = np.zeros((order.shape[0], seen.shape[0], seen.shape[1]), np.uint64)
     for s in range(order.shape[0]):
         for i in range(order.shape[1]):

@@ -1,8 +1,8 @@
-"""The learned driver that ships: information gain, and what a network has learned from trying goals out.
+"""The shipped learned driver: information gain, corrected by a network that has learned from trying goals out.
 
-The network is run on plain arrays, without torch; `agents.learning.driver` trains it. Goals are its tokens: each goal,
-the map around it, and the state of the episode. Of the map that is known already they tell nothing but where its
-features are: what a revisit is worth is not learned.
+The network runs on numpy arrays, without torch; `agents.learning.driver` trains it. Its tokens are goals: each
+describes a goal, the map around it, and the state of the episode. Of mapped features, tokens contain only positions,
+and the value of revisits is not learned.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.weights import Weights, load
 
-VERSION = 3  # of the tokens: weights trained on others are refused
+VERSION = 3  # of the tokens; weights for another version raise an error
 
-_REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
+_REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal over which the image is averaged
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
 OWN = (
     "is look around", "is frontier", "distance", "cosine of the bearing", "path", "area", "log rate",
@@ -34,30 +34,31 @@ COMMON = (
     "features in all", "features per free",
 )  # fmt: skip
 TOKEN_FIELDS = (*OWN, *COMMON)
-"""Columns of a token: a goal's own, and what all goals of an observation share."""
+"""Columns of a token: those of its goal, and those that all goals of an observation share."""
 
 GAP = 5.0  # [m] the unit of distances between goals
-CHOICES = 4  # goals that are weighed at a decision, those of the highest rates: further down hardly any is better
-_MOST_TICKS = 5_000.0  # [ticks] that are taken to be left while the budget is not known
+CHOICES = 4  # goals that are compared at a decision, those of the highest rates; the others are rarely better
+_MOST_TICKS = 5_000.0  # [ticks] that are assumed to be left while the budget is unknown
 
 
 class Tokens(NamedTuple):
-    """What the network sees of k goals, of one state or of many."""
+    """The input of the network for k goals, of one state or of many."""
 
     fields: Any  # (…, k, len(TOKEN_FIELDS))
     gaps: Any  # (…, k, k) distances between goals, in units of `GAP` and below 4
-    greedy: Any  # (…, k) what information gain by new area orders goals by, on the scale of the network's scores
+    greedy: Any  # (…, k) the score of information gain by new area, on the scale of the network's scores
     legal: Any  # (…, k)
 
 
 def ticks_left(budget: float, used: float) -> float:
-    """[ticks] from the fraction of the `budget` that is left and the ticks `used`; many at the start, untold then."""
+    """Remaining ticks, from the fraction of the `budget` that is left and the ticks `used`; many while unknown."""
     return min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
 
 
 def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[IntArray, Tokens]:
-    """(CHOICES,) the goals of the highest rates of those that are `legal`, best first, and their tokens, after `used`
-    ticks. Goals that are not legal come last."""
+    """(CHOICES,) the `legal` goals of the highest rates, best first, and their tokens, after `used` ticks.
+
+    Illegal goals come last."""
     goals = unsquash_goals(observation["goals"])
     goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
     places = np.column_stack([goals["x"], goals["y"]])
@@ -88,7 +89,7 @@ def _common(observation: Observation, goals: dict[str, Array], left: float, used
 
 
 def _summed(image: Array) -> Array:
-    """Sums (4, PIXELS + 1, PIXELS + 1) of free, wall, features and unknown over all pixels before each."""
+    """Summed-area tables (4, PIXELS + 1, PIXELS + 1) of free, wall, features and unknown."""
     layers = image.astype(np.float64) / 255.0
     unknown = np.maximum(0.0, 1.0 - layers[0] - layers[1])
     out = np.zeros((4, PIXELS + 1, PIXELS + 1))
@@ -97,7 +98,7 @@ def _summed(image: Array) -> Array:
 
 
 def _around(summed: Array, places: Array) -> Array:
-    """(k, 4 · len(_REACHES)) means of the layers in squares around the places, as far as the image goes."""
+    """(k, 4 · len(_REACHES)) means of the layers in squares around the places, clipped at the edge of the image."""
     pixel, out = METRES / PIXELS, []
     rows, columns = np.floor((METRES / 2.0 - places) / pixel).astype(np.int64).T
     for reach in _REACHES:
@@ -111,11 +112,11 @@ def _around(summed: Array, places: Array) -> Array:
 # -- the network -------------------------------------------------------------------------------------------------------
 
 Arrays = Mapping[str, Any]
-"""The weights by name: of all members, (members, …) each, or of one that learns, then as tensors."""
+"""Weights by name: arrays (members, …) of all members, or tensors of one member in training."""
 
 _EPSILON = 1e-5  # of the layer norms
 WIDTH, HEADS, LAYERS = 32, 4, 2
-MEMBERS = 3  # networks that were trained alike, whose mean counts
+MEMBERS = 3  # networks of the ensemble, whose scores are averaged
 
 _BLOCK = {
     "nearness": (HEADS,), "before.weight": (WIDTH,), "before.bias": (WIDTH,), "between.weight": (WIDTH,),
@@ -138,10 +139,10 @@ def load_driver(weights: str | Path) -> Weights:
 
 
 def scores(arrays: Arrays, tokens: Tokens, xp: Any = np) -> Any:
-    """A score for each goal: by how many hundredths of E it beats the others.
+    """A score for each goal: by how many hundredths of E it is better than the others.
 
-    (members, k) by the arrays of all members, of one state; or (…, k) by those of one. `xp` is the library that they
-    are of: numpy, or torch where they learn. Scores of goals that are not legal mean nothing.
+    The shape is (members, k) for the arrays of all members and one state, and (…, k) for the arrays of one member. `xp`
+    is the library of the arrays: numpy, or torch in training. Scores of illegal goals are meaningless.
     """
     x = _linear(arrays, "embed", (tokens.fields - arrays["shift"][..., None, :]) * arrays["scale"][..., None, :])
     for i in range(LAYERS):
@@ -151,20 +152,20 @@ def scores(arrays: Arrays, tokens: Tokens, xp: Any = np) -> Any:
 
 
 def _block(arrays: Arrays, name: str, x: Any, tokens: Tokens, xp: Any) -> Any:
-    """Every goal looks at all legal ones, nearer ones more or less so, and then thinks for itself."""
+    """A transformer block: attention to all legal goals, biased by distance, and a feed-forward layer."""
     nearness = arrays[f"{name}.nearness"][..., :, None, None]
     qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
     qkv = qkv.reshape(*x.shape[:-1], 3, HEADS, WIDTH // HEADS)
     q, k, v = (qkv[..., part, :, :] for part in range(3))  # each (…, goals, heads, width / heads)
-    match = (
+    logits = (
         xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS) - nearness * tokens.gaps[..., None, :, :]
     )
-    match = xp.where(tokens.legal[..., None, None, :], match, -1e9)
-    share = xp.exp(match - xp.amax(match, axis=-1, keepdims=True))
-    share = share / share.sum(axis=-1, keepdims=True)
-    x = x + _linear(arrays, f"{name}.mix", xp.einsum("...hij,...jhd->...ihd", share, v).reshape(x.shape))
-    thought = _linear(arrays, f"{name}.wide", _normed(arrays, f"{name}.between", x)).clip(0.0)
-    return x + _linear(arrays, f"{name}.narrow", thought)
+    logits = xp.where(tokens.legal[..., None, None, :], logits, -1e9)
+    attention = xp.exp(logits - xp.amax(logits, axis=-1, keepdims=True))
+    attention = attention / attention.sum(axis=-1, keepdims=True)
+    x = x + _linear(arrays, f"{name}.mix", xp.einsum("...hij,...jhd->...ihd", attention, v).reshape(x.shape))
+    hidden = _linear(arrays, f"{name}.wide", _normed(arrays, f"{name}.between", x)).clip(0.0)
+    return x + _linear(arrays, f"{name}.narrow", hidden)
 
 
 def _linear(arrays: Arrays, name: str, x: Any) -> Any:
@@ -181,17 +182,18 @@ def _normed(arrays: Arrays, name: str, x: Any) -> Any:
 
 
 class LearnedDriver(GoalDriver):
-    """The frontier of the highest score, or once at one place to look around; with no frontier left, information gain.
+    """Chooses the frontier with the highest score, or to look around, once at each place.
 
-    It sees the observation alone; it counts the ticks that it has driven, which tells how many are left.
+    With no frontier left, it drives by information gain. It uses only the observation, and counts the ticks that it has
+    driven, from which it estimates how many are left.
     """
 
     name = "learned"
 
     def __init__(self, weights: str | Path | Weights = "driver") -> None:
-        """`weights`: as `load_driver` takes them, or themselves."""
-        given = weights if isinstance(weights, Weights) else load_driver(weights)
-        self._arrays = given.arrays
+        """`weights` are `Weights`, or a name or path as for `load_driver`."""
+        loaded = weights if isinstance(weights, Weights) else load_driver(weights)
+        self._arrays = loaded.arrays
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -205,8 +207,8 @@ class LearnedDriver(GoalDriver):
         place = np.asarray(info["pose"], float)[None, :2]
         legal[LOOK_AROUND] = self._looked.times(place)[0] == 0
         rows, tokens = tokens_of(observation, self._ticks, legal)
-        found = scores(self._arrays, tokens).mean(axis=0)
-        chosen = int(rows[np.argmax(np.where(tokens.legal, found, -np.inf))])
+        values = scores(self._arrays, tokens).mean(axis=0)
+        chosen = int(rows[np.argmax(np.where(tokens.legal, values, -np.inf))])
         if chosen == LOOK_AROUND:
             self._looked.add(place[0])
         return chosen

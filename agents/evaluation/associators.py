@@ -1,4 +1,4 @@
-"""Who associates in an evaluation, and what that takes."""
+"""The associators of an evaluation, and their effort."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ SIMPLEST_FIRST = (
     "marginal", "ppo", "learned",
 )  # fmt: skip
 SHIPPED = (*SIMPLEST_FIRST, CEILING)
-"""The associators that ship, in the order of tables: from the simplest to the truth."""
+"""The shipped associators in the order of tables, from the simplest to the truth."""
 JOIN = " + "
-"""Between an associator and the search that finds a lost robot for it, in the name of what was evaluated."""
+"""Separates the associator and the relocation search in the name of a contender."""
 
 
 @lru_cache
 def find_associator(name: str) -> Associator:
-    """An associator by name, `module:function`, or the weights of a trained one. ValueError lists the known names."""
+    """An associator by name, `module:function`, or file of weights. Raises ValueError, listing the known names."""
     if Path(name).suffix == ".npz":
         return walk_by(name)
     return resolve_associator(name)
 
 
 def contenders(associators: Sequence[str], relocations: Sequence[str | None]) -> dict[str, tuple[str, str | None]]:
-    """Name → associator and the search that finds a lost robot for it: each with each.
+    """Name → (associator, relocation search), for every combination of the two.
 
-    ValueError for an associator or a relocator that nobody knows.
+    Raises ValueError for an unknown associator or relocator.
     """
     for name in associators:
         find_associator(name)
@@ -52,27 +52,27 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
 
 
 class Metered:
-    """An associator or a relocator, and what its calls take since the last `reset`."""
+    """An associator or a relocator that records the effort of its calls since the last `reset`."""
 
-    def __init__(self, ask: Callable[..., Any]) -> None:
-        self._ask = ask
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
         self.reset()
 
     def reset(self) -> None:
         self.nodes: list[int] = []
         self.seconds: list[float] = []
-        self.limits = 0  # calls that met the limit of their search
+        self.limits = 0  # calls that reached the limit of their search
 
-    def __call__(self, *question: Any) -> Any:
+    def __call__(self, *arguments: Any) -> Any:
         start = time.perf_counter()
-        answer = self._ask(*question)
+        answer = self._function(*arguments)
         self.seconds.append(time.perf_counter() - start)
         self.nodes.append(answer.effort.nodes)
         self.limits += answer.effort.limit_hit
         return answer
 
     def effort(self) -> Record:
-        """Means a scan; of the time the median, which does not see the first call being compiled. NaN without calls."""
+        """Mean nodes, median time (which excludes compilation in the first call), and limits; NaN without calls."""
         if not self.seconds:
             return dict.fromkeys(("nodes", "microseconds", "limits"), math.nan)
         return {
@@ -83,8 +83,8 @@ class Metered:
 
 
 def metered(associator: str | Associator) -> tuple[Metered, Associator | str]:
-    """A meter, and what to associate with: the metered associator, or the name of the one that is told the truth,
-    which nothing may stand in for and whose meter stays empty."""
+    """A meter, and the associator to use: the metered one, or the name `true_association`, which cannot be wrapped, so
+    that its meter stays empty."""
     if associator == CEILING:
         return Metered(ASSOCIATORS[CEILING]), CEILING
     meter = Metered(find_associator(associator) if isinstance(associator, str) else associator)

@@ -1,4 +1,4 @@
-"""Drives through the same test worlds: by every driver, or by one driver with every associator."""
+"""Drives through the same test worlds, by every driver or by one driver with every associator."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from agents.evaluation.records import Record, stem
 
 @dataclass(frozen=True)
 class Driver:
-    """An agent, and the model file behind it if it is learned."""
+    """An agent, and the model file of a learned one."""
 
     agent: str
     model: str = ""
@@ -31,7 +31,7 @@ class Driver:
 
 
 def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list[Driver]:
-    """One driver a name; of learned ones, one a model file. A model alone adds `ppo` to the names."""
+    """One driver for each name, for learned ones one for each model file. Models without a learned name add `ppo`."""
     names = list(dict.fromkeys(names))
     if models and not any(is_learned(name) for name in names):
         names.append("ppo")
@@ -42,8 +42,8 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
 def drive(
     driver: Driver, arguments: ExploreArguments, associator: str | None, episode: int, picture: Path | None = None
 ) -> list[Record]:
-    """One drive through one world. An associator that is evaluated stands in for that of the arguments; its decisions
-    and its effort are recorded too, and its last map is drawn into a `picture`."""
+    """One drive through one world. An evaluated `associator` replaces that of the arguments; its decisions and its
+    effort are recorded as well, and its final map is drawn into the file `picture`."""
     agent = _agent(driver)
     env, meter = _loop(arguments, agent.action, associator)
     if meter is None:
@@ -60,7 +60,7 @@ def drive(
     return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
 
-# Agents and environments are kept for the next task of the same process.
+# Agents and environments are cached for the next task of the same process.
 @lru_cache(maxsize=8)
 def _agent(driver: Driver) -> Agent:
     return driver.make()
@@ -68,7 +68,7 @@ def _agent(driver: Driver) -> Agent:
 
 @lru_cache(maxsize=4)
 def _loop(arguments: ExploreArguments, action: str, associator: str | None) -> tuple[gym.Env[Any, Any], Metered | None]:
-    """The environment, and the meter on the associator that is evaluated."""
+    """The environment, and the meter of the evaluated associator."""
     meter, associate = (None, None) if associator is None else metered(associator)
     return arguments.make(action, associator=associate), meter
 
@@ -76,8 +76,8 @@ def _loop(arguments: ExploreArguments, action: str, associator: str | None) -> t
 def driver_evaluation(
     drivers: Sequence[Driver], loops: Sequence[ExploreArguments], episodes: Sequence[int]
 ) -> Evaluation:
-    """Every driver in every episode of every loop, checked. ValueError for whatever nobody knows; models are loaded for
-    that."""
+    """The evaluation of every driver in every episode of every loop. Loads the models, and raises ValueError for
+    unknown names."""
     tasks, actions = [], sorted({driver.make().action for driver in drivers})
     for loop in loops:
         for action in actions:
@@ -93,32 +93,32 @@ def driver_evaluation(
 
 
 def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
-    """Compile the inner loops once instead of in every worker."""
+    """Compile the inner loops here once, instead of in every worker."""
     env.reset(**reset_arguments(episode))
     env.step(0 if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.sample())
     env.close()
 
 
 def _describe(model: Path) -> dict[str, Any]:
-    """Hash of a model file, and what it says of its training."""
+    """The hash of a model file, and its description of the training."""
     known: dict[str, Any] = {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
-    from agents.learning.models import read_about  # torch is imported for learned agents only
+    from agents.learning.models import read_about  # imports torch, which only learned agents need
 
     try:
         about = read_about(model)
-    except ValueError:  # a file that is trusted
+    except ValueError:  # a trusted file of another format
         return known
     return known | {"training": about.training | {"timesteps": about.timesteps}}
 
 
 def world_of(conditions: Mapping[str, Any]) -> str:
-    """What to call the world of an evaluation in a title: the name of the floor plan's file, or of the scenario."""
+    """The name of an evaluation's world for titles: the name of the floor plan's file, or of the scenario."""
     floor: str | None = conditions["floor_plan"]
     return Path(floor).name if floor else str(conditions["scenario"])
 
 
 def map_path(out: Path, setting: str, name: str) -> Path:
-    """Where the last map of an associator lies, of its first episode in a setting."""
+    """The file of an associator's final map in its first episode of a setting."""
     return out / "maps" / f"{stem(setting, name)}.png"
 
 
@@ -130,18 +130,18 @@ def associator_evaluation(
     relocations: Sequence[str | None],
     out: Path | None = None,
 ) -> Evaluation:
-    """Every associator in every loop, with each of the `relocations`, checked; first maps are drawn into `out`.
+    """The evaluation of every associator with each of the `relocations` in every loop; draws final maps into `out`.
 
-    ValueError for an associator, scenario, driver or relocator that nobody knows.
+    Raises ValueError for an unknown associator, scenario, driver or relocator.
     """
-    who, by, tasks = contenders(associators, relocations), Driver(driver), []
+    names, fixed_driver, tasks = contenders(associators, relocations), Driver(driver), []
     for loop in loops:
-        _loop(loop, _agent(by).action, associators[0])
+        _loop(loop, _agent(fixed_driver).action, associators[0])
         setting = world_of(loop.plain)
         for k in episodes:
-            for name, (associator, relocation) in who.items():
+            for name, (associator, relocation) in names.items():
                 picture = map_path(out, setting, name) if out and k == episodes[0] else None
-                call = partial(drive, by, replace(loop, relocation=relocation), associator, k, picture)
+                call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
                 tasks.append(Task([Key(name, setting, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)

@@ -1,4 +1,4 @@
-"""One episode: the arguments of its environment, the same for every agent, and how it is run to its end."""
+"""One episode: the arguments of its environment, which are the same for every agent, and its run to the end."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 
 @dataclass(frozen=True)
 class _Arguments:
-    """What both environments take."""
+    """The arguments of both environments."""
 
     scenario: str
     overrides: tuple[tuple[str, Any], ...] = ()  # dotted names in the scenario, and their values
@@ -32,20 +32,20 @@ class _Arguments:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """The arguments as the environment takes them and results name them."""
+        """The arguments as the environment takes them and results record them."""
         return asdict(self) | {"overrides": dict(self.overrides)}
 
 
 @dataclass(frozen=True)
 class ExploreArguments(_Arguments):
-    """Arguments of slam_gym/Explore-v0, but for what the agent brings with it."""
+    """Arguments of slam_gym/Explore-v0, except those that depend on the agent."""
 
     scenario: str = "office"
     associator: str | None = None  # None: that of the scenario
     reward: str = "map_error"
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image
-    relocation: str | None = SEARCH  # the search that finds a lost robot again
+    relocation: str | None = SEARCH  # the search that relocates a lost robot
 
     def make(
         self,
@@ -54,10 +54,10 @@ class ExploreArguments(_Arguments):
         associator: Associator | str | None = None,
         relocation: Relocator | str | None = None,
     ) -> gym.Env[Any, Any]:
-        """The environment; others may stand in for the associator and for the search that finds a lost robot.
-        ValueError, with the known names, for what it does not know."""
-        others = {"associator": associator, "relocation": relocation}
-        arguments = self.plain | {name: other for name, other in others.items() if other is not None}
+        """The environment. `associator` and `relocation` replace those of the arguments unless None. Raises ValueError,
+        with the known names, for an unknown one."""
+        changes = {"associator": associator, "relocation": relocation}
+        arguments = self.plain | {name: value for name, value in changes.items() if value is not None}
         return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **arguments)
 
 
@@ -75,12 +75,12 @@ class AssociateArguments(_Arguments):
     wrong_cost: float = 10.0
 
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
-        """The environment, which has one action only. ValueError, with the known names, for what it does not know."""
+        """The environment, which has one kind of action. ValueError, with the known names, for an unknown one."""
         return gym.make(ASSOCIATE, disable_env_checker=True, **self.plain)
 
 
 LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0
-"""A map with a greater error, or with more features mapped twice, is lost: the building was drawn again beside it."""
+"""A map with a greater error, or with more features mapped twice, counts as lost: it contains the building twice."""
 
 LOST_MEANS = (
     f"lost: fraction of episodes with a map error above {LOST_ERROR:g} "
@@ -94,17 +94,17 @@ def reset_arguments(episode: int) -> dict[str, Any]:
 
 
 def agent_seed(episode: int) -> int:
-    """What an agent is given to draw from: it does not tell which world it is in, and no two episodes share it."""
+    """The seed of an agent, different for each episode. It does not reveal the world."""
     return int.from_bytes(hashlib.sha256(f"agent of episode {episode}".encode()).digest()[:4], "big")
 
 
 CURVE = ("ticks", "map_error", "coverage")
-CURVE_STEP = 10  # [ticks] between points of a curve: every step of a twist episode would be too many
+CURVE_STEP = 10  # [ticks] least distance between points of a curve, since twist episodes have many steps
 
 
 def begin_episode(env: gym.Env[Any, Any], agent: Agent, episode: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Reset environment and agent for the i-th episode; the first observation and info. The clairvoyant driver is shown
-    the truth here, and known by its class: no other agent ever gets to see it."""
+    """Reset environment and agent for the i-th episode; returns the first observation and info. The clairvoyant driver,
+    identified by its class, receives the truth here; no other agent does."""
     observation, info = env.reset(**reset_arguments(episode))
     agent.reset(agent_seed(episode))
     if isinstance(agent, Clairvoyant):

@@ -1,9 +1,9 @@
-"""EKF-SLAM over a log: the run from its first step to its last, what is measured of it, and the files that it leaves.
+"""EKF-SLAM over a log: the run from first to last step, its measures, and the files with its results.
 
 LOG.reference.tum           poses of the reference, where it has headings
 LOG.ASSOCIATOR.tum          poses of the robot, in the frame of its map
-LOG.ASSOCIATOR.map.csv      features of the map, in the same frame, and moved rigidly onto the reference
-LOG.ASSOCIATOR.errors.csv   the positions, moved likewise, against the reference
+LOG.ASSOCIATOR.map.csv      features of the map, in the same frame, and aligned rigidly with the reference
+LOG.ASSOCIATOR.errors.csv   the positions, aligned likewise, and their errors against the reference
 LOG.landmarks.csv           the true landmarks, where they are known
 """
 
@@ -33,8 +33,8 @@ from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
 
-FOLDER = "runs"  # of these files, within that of an evaluation
-MAX_GAP = 1.0  # [s] between samples, over which poses are not interpolated
+FOLDER = "runs"  # with these files, in the folder of an evaluation
+MAX_GAP = 1.0  # [s] poses are not interpolated between samples that are farther apart
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
 
 
@@ -47,19 +47,19 @@ class Comparison(NamedTuple):
 
     @property
     def alignment(self) -> Array:
-        """(3,) the pose that moves the estimate rigidly onto the reference."""
+        """(3,) the rigid transformation that aligns the estimate with the reference."""
         return align_se2(self.estimated[:, :2], self.reference[:, :2])
 
     def frame(self) -> pd.DataFrame:
-        """A row an instant: time [s], estimated position moved onto the reference, reference, their distance [m]."""
+        """A row for each instant: time [s], aligned estimated position, reference, and their distance [m]."""
         moved, true = transform(self.alignment, np.ascontiguousarray(self.estimated[:, :2])), self.reference[:, :2]
         rows = np.column_stack([self.times, moved, true, np.hypot(*(moved - true).T)])
         return pd.DataFrame(rows, columns=["time", "x", "y", "reference_x", "reference_y", "error"])
 
 
 def compare(log: Recording, poses: Array) -> Comparison:
-    """Poses (T, 3) of a log's steps against its reference, at the instants that both know: whichever has more samples
-    while the log lasts is interpolated at the other's."""
+    """Poses (T, 3) of a log's steps beside its reference, at common instants: of the two, the one with more samples
+    during the log is interpolated at the samples of the other."""
     t, reference = log.reference_times, log.reference_poses
     if len(t) == 0:
         return Comparison(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
@@ -71,34 +71,35 @@ def compare(log: Recording, poses: Array) -> Comparison:
     return Comparison(log.times[rows], poses[rows], interpolate(t, reference, log.times[rows]))
 
 
-def _close(times: Array, at: Array) -> BoolArray:
-    """Which instants (k,) lie between two of `times` that are no more than MAX_GAP apart."""
-    after = np.clip(np.searchsorted(times, at), 0, len(times) - 1)
-    before = np.where(times[after] == at, after, np.maximum(after - 1, 0))
-    close: BoolArray = (at >= times[0]) & (at <= times[-1]) & (times[after] - times[before] <= MAX_GAP)
+def _close(times: Array, instants: Array) -> BoolArray:
+    """(k,) whether each of `instants` (k,) lies between two of `times` that are at most MAX_GAP apart."""
+    after = np.clip(np.searchsorted(times, instants), 0, len(times) - 1)
+    before = np.where(times[after] == instants, after, np.maximum(after - 1, 0))
+    within = (instants >= times[0]) & (instants <= times[-1])
+    close: BoolArray = within & (times[after] - times[before] <= MAX_GAP)
     return close
 
 
 @dataclass(frozen=True)
 class MappedLog:
-    """What became of a log of T steps and M measurements, in B, the frame of the map."""
+    """The result of mapping a log of T steps and M measurements, in B, the frame of the map."""
 
     log: Recording
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
-    measurements: pd.DataFrame  # M rows: source; whether paired; id in the end of the feature, and its source
-    features: pd.DataFrame  # of the map in the end, oldest first: the columns of its file but for the aligned position
+    measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
+    features: pd.DataFrame  # of the final map, oldest first: the columns of its file except the aligned position
     tally: Tally
     effort: Record  # of the associator, and of the steps
-    in_world: bool  # B is the frame W of the reference: the log began where the reference does, heading and all
+    in_world: bool  # B is the frame W of the reference, since the reference gives the pose at the log's start
 
 
 def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
-    """Map a log with an associator, by name or itself, and find the robot by that search where it is lost.
+    """Map a log with an associator, by name or itself; `relocation` is the search that relocates a lost robot.
 
-    `true_association` is told the identities, and so is its map: every labelled feature goes in when it is first seen,
-    without having to be confirmed, and nothing else does. It is what is left of the error once no association is
-    wrong, and never lost. Raises as `Slam.step`, and ValueError for a search that nobody knows.
+    With `true_association`, the map uses the identities as well: every labelled feature is added when it is first seen,
+    without confirmation, and no other feature is. The remaining error is not caused by associations, and the robot is
+    never lost. Raises as `Slam.step` does, and ValueError for an unknown search.
     """
     informed, parts = associator == CEILING, {}
     if informed:
@@ -137,18 +138,18 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
 
 
 def final_ids(slam: Slam, ids: IntArray) -> IntArray:
-    """Ids (k,) of features as they are called after all that was made one since; NO_ID stays."""
+    """The present ids of features with the ids (k,), after all later fusions; NO_ID remains."""
     final = ids.copy()
     for record in slam.atlas.fusions if slam.atlas is not None else ():
-        for kept, gone in record.ids.tolist():
-            final[final == gone] = kept
+        for remaining, removed in record.ids.tolist():
+            final[final == removed] = remaining
     return final
 
 
 def smoothed(mapped: MappedLog) -> MappedLog | None:
-    """Poses and map that explain the same pairings best: batch least squares from the poses of the filter.
+    """The batch least-squares solution, in poses and map, for the same pairings, started at the poses of the filter.
 
-    None where nothing was paired, or a covariance of the log is not positive definite.
+    None where there are no pairings, or a covariance of the log is not positive definite.
     """
     odometry, scans, _ = zip(*mapped.log.steps())
     pairings = np.split(mapped.measurements["feature"].to_numpy(), mapped.log.starts[1:-1])
@@ -161,18 +162,18 @@ def smoothed(mapped: MappedLog) -> MappedLog | None:
 
 
 def start_of(log: Recording) -> Array | None:
-    """Pose (3,) in W from which the first motion starts, or None where the reference does not say."""
+    """The pose (3,) in W at which the first motion starts, or None where the reference does not contain it."""
     if not len(log.reference_times) or not log.reference_times[0] <= log.times[0] <= log.reference_times[-1]:
         return None
     first = interpolate(log.reference_times, log.reference_poses, log.times[:1])[0]
     return compose(first, inverse(log.motions[0])) if np.isfinite(first[2]) else None
 
 
-# -- what is measured ------------------------------------------------------------------------------------------------
+# -- measures --------------------------------------------------------------------------------------------------------
 
 
 def measure(mapped: MappedLog) -> Record:
-    """The numbers of a mapped log."""
+    """All measures of a mapped log."""
     log = mapped.log
     about = {"steps": len(log), "measurements": len(log.points)}
     errors, best = _poses(mapped) | _landmarks(mapped), smoothed(mapped)
@@ -182,7 +183,7 @@ def measure(mapped: MappedLog) -> Record:
 
 
 def _associations(mapped: MappedLog) -> Record:
-    """Over the measurements with an identity; what became of the spurious ones goes by itself."""
+    """Measures of the pairings of measurements with an identity and, separately, of spurious ones."""
     tally = replace(mapped.tally, fp_spurious=0)
     spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]
     accepted = spurious[spurious["paired"]]
@@ -199,7 +200,7 @@ def _associations(mapped: MappedLog) -> Record:
 
 
 def _confirmed(mapped: MappedLog) -> Record:
-    """Of the confirmed features, by the identity of what started them."""
+    """Measures of the confirmed features, by the identity of the measurements that started them."""
     identity = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
     found = identity[identity >= 0].nunique()
     return {
@@ -212,24 +213,24 @@ def _confirmed(mapped: MappedLog) -> Record:
 
 
 def _poses(mapped: MappedLog) -> Record:
-    """Errors of the positions; those without alignment, and ANEES, where the log began in the frame of the reference.
-    At the steps for which there is a reference, whose own uncertainty counts too."""
+    """Errors of the positions; errors without alignment and ANEES only where B is the frame of the reference. ANEES is
+    over the steps for which there is a reference, and includes the uncertainty of the reference."""
     log, compared = mapped.log, compare(mapped.log, mapped.poses)
-    found = {
+    aligned = {
         "ate": ate(compared.estimated, compared.reference, aligned=True),
         "ate_median": float(compared.frame()["error"].median()),
     }
     if not mapped.in_world or not len(compared.times):
-        return found | {"ate_unaligned": math.nan, "anees": math.nan}
+        return aligned | {"ate_unaligned": math.nan, "anees": math.nan}
     known = _close(log.reference_times, log.times)
     true = interpolate(log.reference_times, log.reference_poses, log.times[known])
     covariances = mapped.pose_covariances[known] + np.diag(np.square(REFERENCE_SIGMA))
-    values = [pose_nees(pose, covariance, at) for pose, covariance, at in zip(mapped.poses[known], covariances, true)]
-    return found | {"ate_unaligned": ate(compared.estimated, compared.reference), "anees": anees(np.array(values), 3)}
+    values = [pose_nees(*arrays) for arrays in zip(mapped.poses[known], covariances, true)]
+    return aligned | {"ate_unaligned": ate(compared.estimated, compared.reference), "anees": anees(np.array(values), 3)}
 
 
 def _landmarks(mapped: MappedLog) -> Record:
-    """Of the landmarks whose place is known; of duplicates, the oldest is the one."""
+    """Errors of the landmarks with known positions; of duplicates, the oldest counts."""
     places = pd.DataFrame(mapped.log.landmarks, mapped.log.landmark_ids, ["true_x", "true_y"])
     confirmed = mapped.features[mapped.features["confirmed"] > 0].drop_duplicates("identity")
     both = confirmed.merge(places, left_on="identity", right_index=True)
@@ -245,7 +246,7 @@ def _landmarks(mapped: MappedLog) -> Record:
 
 
 def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
-    """All files of a log mapped with an associator."""
+    """Write all files of a log that was mapped with an associator."""
     log, base = mapped.log, stem(mapped.log.name, associator)
     folder.mkdir(parents=True, exist_ok=True)
     known = np.isfinite(log.reference_poses[:, 2])

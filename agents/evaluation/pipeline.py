@@ -1,7 +1,7 @@
-"""The one way in which everything is evaluated: tasks, shared out over processes, and the folder of their results.
+"""The pipeline of all evaluations: tasks, distributed over processes, and the folder of their results.
 
-The folder holds `results.csv`, one row per episode (`pandas.read_csv`), and `results.json`: the commands, conditions,
-seeds and versions behind it. Tables and reports are made from these two files.
+The folder contains `results.csv`, one row per episode (`pandas.read_csv`), and `results.json` with the commands,
+conditions, seeds and versions behind it. Tables and reports are made from these two files.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Result = TypeVar("Result")
 
 
 class Key(NamedTuple):
-    """What tells one row of an evaluation from another."""
+    """The identity of a row of an evaluation."""
 
     name: str  # of the agent or associator
     setting: str  # scenario, level of the suite or log
@@ -46,70 +46,70 @@ class Key(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A piece of work that yields one record for each of its keys; it can be pickled, to run in another process."""
+    """A piece of work that returns one record for each of its keys. It can be pickled, to run in another process."""
 
     keys: Sequence[Key]
     run: Callable[[], Sequence[Record]]
 
     def rows(self) -> list[Record]:
-        """Do it: the rows of the table of results."""
+        """Run the task; returns its rows of the table of results."""
         return [key._asdict() | record for key, record in zip(self.keys, self.run(), strict=True)]
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What is to be done."""
+    """The tasks of an evaluation, and its description."""
 
     kind: str  # of KINDS
     tasks: Sequence[Task]
-    conditions: dict[str, Any]  # what may not change when the evaluation is resumed
-    about: dict[str, Any] = field(default_factory=dict)  # for results.json as well, and may change
+    conditions: dict[str, Any]  # must be the same when the evaluation is resumed
+    about: dict[str, Any] = field(default_factory=dict)  # further entries of results.json, which may change
 
 
 class Results(NamedTuple):
-    """What the folder of an evaluation holds."""
+    """The contents of the folder of an evaluation."""
 
     metadata: dict[str, Any]  # results.json: kind, commands, conditions, whether it is complete, versions …
-    frame: pd.DataFrame  # results.csv: what was asked for last comes first, in the order in which it was asked for
+    frame: pd.DataFrame  # results.csv: rows of the latest command first, in the order of its tasks
 
     @property
     def conditions(self) -> dict[str, Any]:
-        """What all episodes share."""
+        """The conditions that all episodes share."""
         return dict(self.metadata["conditions"])
 
     @property
     def names(self) -> list[str]:
-        """Who was evaluated."""
+        """The names of the evaluated agents or associators."""
         return list(self.frame["name"].unique())
 
 
 def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
-    """Run the tasks whose rows `out` does not hold yet, and return the results.
+    """Run the tasks whose rows are not in `out` yet, and return the results.
 
-    What is finished is written at once, so that an interrupted evaluation can be resumed. Raises ValueError where `out`
-    holds anything but an evaluation to resume with the same conditions.
+    Finished tasks are written at once, so that an interrupted evaluation can be resumed. Raises ValueError where `out`
+    contains anything but an evaluation that can be resumed with the same conditions.
     """
     before = _to_resume(out, evaluation, execution.resume)
     commands, rows = (before.metadata["commands"], before.frame.to_dict("records")) if before else ([], [])
     commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
-    asked = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
+    order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
     done, start = {_key(row) for row in rows}, time.perf_counter()
-    left = [task for task in evaluation.tasks if not done.issuperset(task.keys)]
+    remaining = [task for task in evaluation.tasks if not done.issuperset(task.keys)]
 
     def write_metadata() -> None:
-        head = {"kind": evaluation.kind, "commands": commands, "complete": done >= asked.keys()}
+        head = {"kind": evaluation.kind, "commands": commands, "complete": done >= order.keys()}
         more = {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()}
         write_json(out / METADATA, head | more)
 
     out.mkdir(parents=True, exist_ok=True)
     write_metadata()
     try:
-        finished = run_all([task.rows for task in left], execution.jobs)
-        for found in track(finished, "episodes", total=len(left)):
-            rows += [row for row in found if _key(row) not in done]
-            rows.sort(key=lambda row: asked.get(_key(row), len(asked)))
+        finished = run_all([task.rows for task in remaining], execution.jobs)
+        for new_rows in track(finished, "episodes", total=len(remaining)):
+            rows += [row for row in new_rows if _key(row) not in done]
+            rows.sort(key=lambda row: order.get(_key(row), len(order)))
             _write_rows(out, rows)
-            done |= {_key(row) for row in found}
+            done |= {_key(row) for row in new_rows}
     finally:
         commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
         write_metadata()
@@ -117,9 +117,9 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
 
 
 def run_all(calls: Sequence[Callable[[], Result]], jobs: int | None) -> Iterator[Result]:
-    """The results of calls that can be pickled, as they finish, in any order; by so many processes or one a core, each
-    on one thread."""
-    # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
+    """The results of calls that can be pickled, in the order in which they finish. They run in `jobs` processes, by
+    default one per core, with one thread each."""
+    # A worker grows when it first imports torch. loky takes this for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     parallel = joblib.Parallel(n_jobs=jobs or joblib.cpu_count(), return_as="generator_unordered", batch_size=1)
     results: Iterator[Result] = parallel(joblib.delayed(_on_one_thread)(call) for call in calls)
@@ -127,7 +127,7 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int | None) -> Iterator
 
 
 def _on_one_thread(call: Callable[[], Any]) -> Any:
-    """Threads of BLAS and torch on top of the processes would only get in the way. Ctrl-C is for the parent."""
+    """Call with one thread for BLAS and torch, since processes use all cores. Workers leave Ctrl-C to the parent."""
     own_process = multiprocessing.parent_process() is not None
     if own_process and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -141,7 +141,7 @@ def _on_one_thread(call: Callable[[], Any]) -> Any:
 
 
 def read_results(folder: Path) -> Results:
-    """What the folder of an evaluation holds. ValueError where there is none, or nothing finished yet."""
+    """Read the folder of an evaluation. Raises ValueError where it contains none, or no finished episode."""
     results = _read(folder)
     if results is None:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
@@ -151,7 +151,7 @@ def read_results(folder: Path) -> Results:
 
 
 def _read(folder: Path) -> Results | None:
-    """Finished or not, and None where there is none. ValueError names a file that is damaged."""
+    """Read a complete or incomplete evaluation; None where there is none. Raises ValueError, naming a damaged file."""
     if not (folder / METADATA).exists():
         return None
     with undamaged(folder / METADATA):
@@ -177,7 +177,7 @@ def _key(row: Record) -> Key:
 
 
 def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | None:
-    """The evaluation that is gone on with, if any. ValueError where the folder belongs to something else."""
+    """The evaluation to resume, if any. Raises ValueError where the folder contains anything else."""
     before = _read(out)
     if before is None:
         if resume:

@@ -1,4 +1,4 @@
-"""Associators on recordings: EKF-SLAM over every log with each associator in turn."""
+"""Associators on recordings: EKF-SLAM over every log with every associator."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from slam_gym.simulation.judged import CEILING
 
 
 def logs_of(options: Recorded, recording: str) -> list[Recording]:
-    """All logs that a recording's name stands for, as they are to be mapped.
+    """All logs of a recording, prepared for mapping by the options.
 
-    Raises as `open_recordings`; ValueError for robots of another recording than mrclam.
+    Raises as `open_recordings` does, and ValueError for --robots with another recording than mrclam.
     """
     if options.robots and recording != "mrclam":
         raise ValueError(f"--robots is for mrclam, not for {recording}")
@@ -34,9 +34,9 @@ def logs_of(options: Recorded, recording: str) -> list[Recording]:
 
 
 def surveyed(log: Recording) -> Recording:
-    """The log with the batch solution of its identities for a survey of landmarks, and of the robot, where it has none.
+    """The log with the batch solution for its identities as its landmarks and reference, where it has none.
 
-    What the filter and others make of the log is then held against the best that could be made of it.
+    Maps are then compared with the best map that the log allows.
     """
     if len(log.landmarks) or not (log.sources >= 0).any():
         return log
@@ -52,7 +52,7 @@ def surveyed(log: Recording) -> Recording:
 
 
 def map_and_measure(log: Recording, name: str, associator: str, relocation: str | None, folder: Path) -> list[Record]:
-    """One log with an associator, and the search that finds a lost robot; trajectory and map go into a folder."""
+    """Map one log with an associator and a relocation search, and write trajectory and map to a folder."""
     mapped = map_log(log, associator, slam_for(log), relocation)
     write_mapped_log(folder, name, mapped)
     return [{"source": log.source} | measure(mapped)]
@@ -65,9 +65,9 @@ def recording_evaluation(
     out: Path,
     relocations: Sequence[str | None],
 ) -> Evaluation:
-    """Every associator with every relocation on every log, checked; files go into a folder of `out`.
+    """The evaluation of every associator with every relocation on every log; files go to a folder in `out`.
 
-    ValueError for an associator or a relocator that nobody knows.
+    Raises ValueError for an unknown associator or relocator.
     """
     tasks = [
         Task([Key(name, log.name, 0)], partial(map_and_measure, log, name, *searches, out / FOLDER))

@@ -1,4 +1,4 @@
-"""Records of episodes, and the files that they and what they depend on are written to."""
+"""Records of episodes, and the files with records and their provenance."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from typing import Any
 import slam_gym
 
 Record = dict[str, Any]
-"""Numbers of one episode; lists and dicts, such as curves over time, become JSON in a cell of the table."""
+"""Numbers of one episode. Lists and dicts, such as curves over time, become JSON in a cell of the table."""
 
 PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "joblib")
 
 
 def stem(*names: str) -> str:
-    """A file's name for things whose names may be paths, levels of the suite, or `module:name`."""
+    """A file name made of names that may be paths, levels of the suite, or `module:name`."""
     return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)
 
 
 def results_folder(name: str, resume: bool) -> Path:
-    """A new folder under results/ of the current directory, or the latest one of that name."""
+    """A new folder in results/ of the current directory or, to resume, the latest one of that name."""
     results, name = Path("results"), stem(name)
     if not resume:
         return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -44,9 +44,9 @@ def results_folder(name: str, resume: bool) -> Path:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Where to write what is then put in its place: interrupted, or on a full disk, the old file stays whole.
+    """A temporary path to write to, which replaces `path` at the end; after an error, the old file remains intact.
 
-    OSError names the file.
+    Raises OSError, naming the file.
     """
     partial = path.with_name(path.name + ".partial")
     try:
@@ -60,7 +60,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def undamaged(what: str | Path) -> Iterator[None]:
-    """Whatever reading a damaged file leads to becomes a ValueError that names it."""
+    """Convert the errors that reading a damaged file can raise to a ValueError that names the file."""
     try:
         yield
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
@@ -68,18 +68,18 @@ def undamaged(what: str | Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text in one piece."""
+    """Write a text file completely or not at all."""
     with written_whole(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="")
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write standard JSON in one piece."""
+    """Write a file of standard JSON completely or not at all."""
     write_whole(path, json.dumps(plain(content), indent=1, ensure_ascii=False) + "\n")
 
 
 def plain(value: Any) -> Any:
-    """The value as standard JSON would give it back: what is not finite becomes null, a dataclass an object."""
+    """The value as it is after writing and reading JSON: NaN and ±∞ become None, a dataclass becomes a dict."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):
@@ -90,23 +90,23 @@ def plain(value: Any) -> Any:
 
 
 def command_line() -> str:
-    """The command that runs, as it would be typed: `slam-gym train …`."""
+    """The running command as a user types it: `slam-gym train …`."""
     program = Path(sys.argv[0])
     command = [] if program.stem in ("slam-gym", "__main__") else [program.stem.replace("_", "-")]
     return shlex.join(["slam-gym", *command, *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that results depend on; the commit of the checkout where it is one."""
-    found = {"slam_gym": slam_gym.__version__, "python": platform.python_version(), "machine": platform.platform()}
+    """Versions of everything on which results depend, and the commit of a checkout."""
+    known = {"slam_gym": slam_gym.__version__, "python": platform.python_version(), "machine": platform.platform()}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            known[package] = version(package)
         except PackageNotFoundError:
             continue
     try:
         git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
-        found["commit"] = subprocess.run(git, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+        known["commit"] = subprocess.run(git, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        found["commit"] = "unknown"
-    return found
+        known["commit"] = "unknown"
+    return known

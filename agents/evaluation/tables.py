@@ -1,4 +1,4 @@
-"""Numbers of an evaluation: estimates with their intervals over episodes, and the tables that show them."""
+"""Estimates with intervals over the episodes of an evaluation, and tables of them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval,
 from slam_gym.simulation.judged import CEILING
 
 Value = Interval | float | int
-FEWEST = 10  # episodes that an interval can be told from
+FEWEST = 10  # least number of episodes for an interval
 Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
 
 
 def counted(count: int, what: str) -> str:
-    """Such as `1 episode`, or `30 episodes`."""
+    """A number with its noun, such as `1 episode` or `30 episodes`."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
@@ -37,7 +37,7 @@ class Column:
     title: str
     digits: int = 3
     better: str = ""  # "lower", "higher", or neither
-    rare: bool = False  # happens so seldom that it takes the mean: an interquartile mean does not see it
+    rare: bool = False  # a rare event, of which the mean is taken, since an interquartile mean ignores it
 
 
 _ALL = (
@@ -68,29 +68,29 @@ _ALL = (
 
 
 def columns(*keys: str) -> list[Column]:
-    """The columns of some numbers, as every table titles them."""
+    """The columns with these keys."""
     known = {column.key: column for column in _ALL}
     return [known[key] for key in keys]
 
 
 @dataclass(frozen=True)
 class Table:
-    """What is shown on the terminal and in the report."""
+    """A table on the terminal and in the report."""
 
     title: str
-    corner: str  # title of the first column, that of the names
+    corner: str  # title of the first column, which contains the names
     columns: Sequence[Column]
     rows: Rows
     caption: str = "interquartile mean, 95 % bootstrap interval"
-    differences: bool = False  # of two each: told with their signs
-    detail: bool = False  # in the report only
+    differences: bool = False  # values are differences, shown with their signs
+    detail: bool = False  # only in the report
 
     @property
     def bold(self) -> dict[str, set[str]]:
-        """Column key → the names with the best values, or whose differences can be told from 0."""
+        """Column key → the names with the best values or, in a table of differences, with intervals that exclude 0."""
         values = {c.key: {name: row[c.key] for name, row in self.rows.items() if c.key in row} for c in self.columns}
         if self.differences:
-            return {key: {name for name, v in own.items() if _excludes_zero(v)} for key, own in values.items()}
+            return {key: {name for name, v in column.items() if _excludes_zero(v)} for key, column in values.items()}
         return {c.key: best_names(values[c.key], c) for c in self.columns}
 
 
@@ -102,8 +102,8 @@ def estimate(
 ) -> Interval:
     """The statistic of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
 
-    Values that are not finite are left out; all NaN where none is left. The same values always give the same interval.
-    Of fewer than `FEWEST`, or where each stratum has but one value, too little tells how they vary for an interval.
+    Values that are not finite are left out; all three are NaN if none is left. The same values always give the same
+    interval. It is NaN for fewer than `FEWEST` values, and where no stratum has more than one value.
     """
     values = np.asarray(values, np.float64)
     groups = np.zeros(len(values), np.int64) if strata is None else np.asarray(strata)
@@ -118,12 +118,12 @@ def estimate(
 
 
 def estimate_of(frame: pd.DataFrame, key: str, statistic: Statistic = interquartile_mean) -> Interval:
-    """Of a number of some episodes. Settings and models are strata: what differs between them is no noise."""
+    """The estimate of a number over episodes. Settings and models are strata, since their differences are not noise."""
     return estimate(frame[key], frame.groupby(["setting", "model"]).ngroup(), statistic=statistic)
 
 
 def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value]:
-    """Column key → estimate over the episodes."""
+    """Column key → estimate over the episodes of `frame`."""
     return {c.key: estimate_of(frame, c.key, mean if c.rare else interquartile_mean) for c in columns}
 
 
@@ -140,19 +140,19 @@ def by_setting(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 def difference(
     first: pd.DataFrame, second: pd.DataFrame, key: str, statistic: Statistic = interquartile_mean
 ) -> Interval:
-    """First − second on the episodes that both have (means over models), with its interval: paired."""
+    """The paired difference first − second over common episodes (means over models), with its interval."""
     means = [frame.groupby(["setting", "episode"])[key].mean() for frame in (first, second)]
     paired = (means[0] - means[1]).dropna()
     return estimate(paired, paired.index.get_level_values("setting"), statistic=statistic)
 
 
 def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
-    """The names with the best value and those that cannot be told from it; none where that is all. No ceiling.
+    """The names with the best value or with an interval that overlaps the best one's; none if these are all names.
 
-    Numbers without an interval are compared as they are shown.
+    The ceiling is left out. Numbers without an interval are compared with the digits that are shown.
     """
-    found = {name: _as_interval(v, column.digits) for name, v in values.items() if not name.startswith(CEILING)}
-    known = {name: value for name, value in found.items() if math.isfinite(value.estimate)}
+    intervals = {name: _as_interval(v, column.digits) for name, v in values.items() if not name.startswith(CEILING)}
+    known = {name: value for name, value in intervals.items() if math.isfinite(value.estimate)}
     if not column.better or len(known) < 2:
         return set()
     sign = 1.0 if column.better == "lower" else -1.0
@@ -173,14 +173,14 @@ def _excludes_zero(value: Value) -> bool:
 
 
 def display_name(name: str) -> str:
-    """What to call it in a table: the function of `module:function`, the name of a file, words instead of `_`."""
+    """A name for tables: the function of `module:function`, the name of a file; spaces instead of `_`."""
     if ":" in name:
         return name.rpartition(":")[2].replace("_", " ")
     return (Path(name).name if Path(name).suffix else name).replace("_", " ")
 
 
 def number(value: float, digits: int, signed: bool = False) -> str:
-    """Fixed digits, a real minus, no negative zero; large numbers that have fractions as powers of ten."""
+    """A number as text: fixed digits, a real minus, no negative zero; large numbers with fractions as powers of ten."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     if abs(value) >= 1e4 and digits > 0:
@@ -189,7 +189,7 @@ def number(value: float, digits: int, signed: bool = False) -> str:
 
 
 def cell(value: Value | None, digits: int, signed: bool = False) -> tuple[str, str]:
-    """A value and its interval, `low, high`, as text; a dash where nothing was measured, empty without an interval."""
+    """A value and its interval, `low, high`, as text: a dash for NaN, an empty text for a missing interval."""
     if value is None:
         return "", ""
     if not isinstance(value, Interval):
@@ -199,16 +199,16 @@ def cell(value: Value | None, digits: int, signed: bool = False) -> tuple[str, s
 
 
 def print_table(table: Table, console: Console) -> None:
-    """The table on the terminal, each interval under its estimate; where that is too wide, in pieces, one below the
+    """Print a table, with each interval below its estimate. A table that is too wide is cut into several, one below the
     other."""
     console.print(table.title, style="bold", markup=False, highlight=False, soft_wrap=True)
-    unlimited, left = console.options.update(max_width=10_000), list(table.columns)
-    while left:
-        count = len(left)
-        while count > 1 and console.measure(_grid(table, left[:count]), options=unlimited).maximum > console.width:
+    unlimited, rest = console.options.update(max_width=10_000), list(table.columns)
+    while rest:
+        count = len(rest)
+        while count > 1 and console.measure(_grid(table, rest[:count]), options=unlimited).maximum > console.width:
             count -= 1
-        console.print(_grid(table, left[:count]))
-        left = left[count:]
+        console.print(_grid(table, rest[:count]))
+        rest = rest[count:]
     if table.caption:
         console.print(table.caption, style="dim", markup=False, highlight=False)
 

@@ -1,4 +1,4 @@
-"""Entries as files, one JSON each, and who is ahead: by paired differences over the worlds that they share."""
+"""Entries as JSON files, and their ranking by paired differences over common worlds."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 
 BASELINES = Path(__file__).with_name("baselines")
-"""The entries that ship."""
+"""The folder of the shipped entries."""
 
 RESAMPLES = 4000
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """An entry that was put through the protocol. Only entries of the same protocol are compared.
+    """An entry that was evaluated by the protocol. Only entries of the same protocol are compared.
 
-    Raises ValueError for what no protocol and no evaluation makes: losses are finite and not below 0.
+    Raises ValueError for contents that no evaluation writes; losses are finite and not below 0.
     """
 
     name: str
     protocol: dict[str, Any]  # version, role, quick, hash
-    losses: dict[str, list[float | None]]  # setting → loss in each of its worlds, None: nothing was to be decided
+    losses: dict[str, list[float | None]]  # setting → loss in each of its worlds; None: a world without problems
     about: dict[str, Any]  # command and versions
 
     def __post_init__(self) -> None:
@@ -54,23 +54,23 @@ class Ranked:
 
     @property
     def shape(self) -> str:
-        """Protocol, settings and worlds: what entries share that are compared."""
+        """Protocol, settings and worlds, which are equal for entries that are compared."""
         return json.dumps([self.protocol["hash"], {setting: len(losses) for setting, losses in self.losses.items()}])
 
     @property
     def file(self) -> str:
-        """What its file is called."""
+        """The name of its file."""
         stem = re.sub(r"[^\w.-]+", "_", Path(self.name).stem if Path(self.name).is_file() else self.name)
         return f"{self.protocol['role']}-{stem}{'-quick' if self.protocol['quick'] else ''}.json"
 
     def by_column(self) -> pd.Series:
-        """Losses, by column, setting and world; NaN where nothing was to be decided."""
-        found = {(column_of(setting), setting): pd.Series(own, dtype=float) for setting, own in self.losses.items()}
-        return pd.concat(found)
+        """Losses by column, setting and world; NaN for a world without problems."""
+        series = {(column_of(name), name): pd.Series(losses, dtype=float) for name, losses in self.losses.items()}
+        return pd.concat(series)
 
 
 def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str) -> Ranked:
-    """The entry that records of a whole evaluation make."""
+    """The entry for the records of a whole evaluation."""
     losses: dict[str, list[float | None]] = {setting: [None] * count for setting, count in chosen.parts.items()}
     for record in records:
         if not math.isnan(loss := float(record["loss"])):
@@ -79,78 +79,78 @@ def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str)
 
 
 def write_entry(folder: Path, entry: Ranked) -> Path:
-    """Write an entry into a folder, and return its file."""
+    """Write an entry to a folder, and return its file."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / entry.file, vars(entry))
     return folder / entry.file
 
 
 def read_entries(folders: Sequence[Path]) -> tuple[list[Ranked], list[str]]:
-    """All entries of some folders, and a line about each file that holds none. Of two in files of the same name it is
-    the one in the last folder."""
+    """All entries of `folders`, and a line for each file without a valid entry. Of files with the same name, the one in
+    the last folder counts."""
     files = {path.name: path for folder in folders for path in sorted(folder.glob("*.json"))}
-    entries, refused = [], []
+    entries, invalid = [], []
     for path in files.values():
         try:
             with undamaged(f"{path}: the entry"):
                 entries.append(Ranked(**json_of(content_of(path))))
         except (ValueError, OSError) as error:
-            refused.append(" ".join(str(error).split()))
-    return entries, refused
+            invalid.append(" ".join(str(error).split()))
+    return entries, invalid
 
 
 class Row(NamedTuple):
-    """An entry's place."""
+    """A row of the ranking."""
 
-    place: int  # one more than the number of entries that are better beyond doubt
+    place: int  # 1 + the number of entries that are better with an interval that excludes 0
     name: str
     loss: Interval  # mean over columns
-    behind: Interval  # loss − that of the entry with the lowest, paired
+    behind: Interval  # paired difference to the entry with the lowest loss
     columns: dict[str, float]  # mean losses
 
 
 def rows(entries: Sequence[Ranked]) -> list[Row]:
-    """The entries, all of one protocol, by their places and then by their losses.
+    """The ranking of entries of one protocol, by place and then by loss.
 
-    The ceiling, which is told the truth, has place 0 and takes none from others.
+    The ceiling, which uses the truth, has place 0 and does not change the places of others.
     """
     losses = pd.DataFrame({entry.name: entry.by_column() for entry in entries})
     means = losses.groupby(level=0, sort=False).mean()
     rivals = [name for name in losses if name != CEILING]
     first = means.mean()[rivals or list(losses)].idxmin()
-    found = []
-    for name, own in losses.items():
-        better = sum(_mean_of_means(own - losses[other]).low > 0.0 for other in rivals if other != name)
+    ranking = []
+    for name, column in losses.items():
+        better = sum(_mean_of_means(column - losses[other]).low > 0.0 for other in rivals if other != name)
         place = 0 if name == CEILING else 1 + better
-        behind = _mean_of_means(own - losses[first])
-        found.append(Row(place, str(name), _mean_of_means(own), behind, means[name].to_dict()))
-    return sorted(found, key=lambda row: (row.place, row.loss.estimate))
+        behind = _mean_of_means(column - losses[first])
+        ranking.append(Row(place, str(name), _mean_of_means(column), behind, means[name].to_dict()))
+    return sorted(ranking, key=lambda row: (row.place, row.loss.estimate))
 
 
 def _mean_of_means(losses: pd.Series) -> Interval:
-    """Mean over columns of their means, and its 95 % bootstrap interval: worlds are drawn within each column."""
+    """The mean over columns of their means, and its 95 % bootstrap interval, resampling worlds within each column."""
     rng = np.random.default_rng(0)
-    known = [own.to_numpy() for _, own in losses.dropna().groupby(level=0, sort=False)]
+    known = [column.to_numpy() for _, column in losses.dropna().groupby(level=0, sort=False)]
     drawn = [values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1) for values in known]
     low, high = np.percentile(np.mean(drawn, axis=0), [2.5, 97.5])
     return Interval(float(np.mean([values.mean() for values in known])), float(low), float(high))
 
 
 def markdown(entries: Sequence[Ranked]) -> str:
-    """A table for every protocol among the entries."""
+    """Markdown tables, one for every protocol among the entries."""
     groups: dict[str, list[Ranked]] = {}
     for entry in entries:
         groups.setdefault(entry.shape, []).append(entry)
-    return "\n\n".join(_table(own[0].protocol, rows(own)) for own in groups.values())
+    return "\n\n".join(_table(group[0].protocol, rows(group)) for group in groups.values())
 
 
-def _table(protocol: dict[str, Any], found: Sequence[Row]) -> str:
-    heads = ["", "entry", "loss", "behind the first", *map(_escaped, found[0].columns)]
+def _table(protocol: dict[str, Any], ranking: Sequence[Row]) -> str:
+    heads = ["", "entry", "loss", "behind the first", *map(_escaped, ranking[0].columns)]
     quick = ", quick (for tests)" if protocol["quick"] else ""
     lines = [f"### {protocol['role'].capitalize()}s", ""]
     lines += [f"Protocol {protocol['version']}{quick}, hash `{protocol['hash']}`.", ""]
     lines += ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    for row in found:
+    for row in ranking:
         behind = "–" if row.behind.estimate == 0.0 else _interval(row.behind, signed=True)
         cells = [str(row.place or ""), _escaped(display_name(row.name)), _interval(row.loss), behind]
         lines.append("| " + " | ".join([*cells, *(number(mean, 3) for mean in row.columns.values())]) + " |")
@@ -158,7 +158,7 @@ def _table(protocol: dict[str, Any], found: Sequence[Row]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text that Markdown and HTML show as it is, on one line."""
+    """Text escaped for Markdown and HTML, on one line."""
     return re.sub(r"([\\`*_\[\]|])", r"\\\1", html.escape(" ".join(text.split())))
 
 

@@ -1,7 +1,7 @@
-"""The process of an entry: it imports the entry's module, answers requests, and holds no simulator.
+"""The process of an entry. It imports the entry's module and answers requests, and contains no simulator.
 
-A request comes on stdin: its length in eight bytes, and a pickle that the evaluator wrote. An answer goes to stdout as
-one line of JSON; whatever the entry prints goes to stderr.
+A request arrives on stdin: its length in eight bytes, and a pickle that the evaluator wrote. An answer goes to stdout
+as one line of JSON; everything that the entry prints goes to stderr.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from agents.evaluation.associators import find_associator
 from slam_gym.association import resolve_relocator
 
 Answers = tuple[dict[str, Any], Callable[..., Any]]
-"""What the evaluator is told of an entry at first, and what answers its requests."""
+"""The first message to the evaluator, about the entry, and the function that answers requests."""
 
 
 def load(role: str, name: str) -> Answers:
-    """An entry of that role by name, `module:function`, `module:Class` or model file.
+    """An entry of a role by name, `module:function`, `module:Class` or model file.
 
     Raises ValueError where there is none.
     """
@@ -37,14 +37,14 @@ def load(role: str, name: str) -> Answers:
         raise ValueError("it cannot act: give --role where it is no agent")
     agent = make_agent("ppo", name) if model else make_agent(name)
 
-    def drive(what: str, *request: Any) -> Any:
-        return agent.reset(*request) if what == "reset" else agent.act(*request)
+    def drive(method: str, *request: Any) -> Any:
+        return agent.reset(*request) if method == "reset" else agent.act(*request)
 
     return {"name": agent.name, "action": agent.action}, drive
 
 
 def plain(value: Any) -> Any:
-    """What JSON does not know, in what it knows: arrays as lists, dataclasses as tables."""
+    """A value that JSON does not know in types that it knows: arrays as lists, dataclasses as objects."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if is_dataclass(value) and not isinstance(value, type):
@@ -53,7 +53,7 @@ def plain(value: Any) -> Any:
 
 
 def main(role: str, name: str) -> None:
-    """Answer requests until there are no more; an error of the entry is an answer, and the last one."""
+    """Answer requests until there are no more. An error of the entry is the last answer."""
     incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:

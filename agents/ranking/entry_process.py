@@ -1,7 +1,7 @@
-"""An entry as the evaluator sees it: a process that is sent what a robot could know, and whose answers are checked.
+"""An entry in a process of its own, which receives what a robot could know and whose answers are checked.
 
-The evaluator imports nothing of an entry and unpickles nothing from it: answers are JSON, read up to a length and a
-time limit. An entry that fails loses the episode. Who reads another process's memory is not defended against.
+The evaluator imports no code of an entry and unpickles none of its data: answers are JSON, with a limit on length and
+time. An entry that fails loses the episode. There is no defence against reading the memory of another process.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, 
 from slam_gym.validation import check_hypothesis
 
 LIMIT = 60.0  # [s] for an answer
-START = 600.0  # [s] for the first two of a process, which imports and compiles
+START = 600.0  # [s] for the first two answers of a process, which imports and compiles
 _LONGEST = 1 << 22  # bytes of an answer
 _NONSENSE = (KeyError, TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError)
 
 
 class EntryError(RuntimeError):
-    """What an entry did that loses the episode."""
+    """A failure of an entry, by which it loses the episode."""
 
 
 class EntryProcess:
-    """An entry in a process of its own, which is started again for the next episode after it has failed.
+    """An entry in a process of its own, which is started again for the next episode after a failure.
 
-    Raises EntryError where there is no such entry of that `role`.
+    Raises EntryError where no entry of this `role` has this name.
     """
 
     def __init__(self, role: str, name: str, limit: float = LIMIT) -> None:
-        self._who, self._limit, self._patience = (role, name), limit, START
+        self._identity, self._limit, self._next_limit = (role, name), limit, START
         self._loop = asyncio.new_event_loop()
         self._process: asyncio.subprocess.Process | None = None
         atexit.register(self.close)
         self.about = self._start()
 
     def ask(self, *request: Any) -> Any:
-        """Its answer to a request. Raises EntryError where it gives none."""
+        """The answer of the entry to a request. Raises EntryError where it does not answer properly."""
         if self._process is None:
             self._start()
-        patience, self._patience = self._patience, self._limit
-        return self._answer(pickle.dumps(request), patience)
+        limit, self._next_limit = self._next_limit, self._limit
+        return self._answer(pickle.dumps(request), limit)
 
     def refuse(self, reason: object) -> EntryError:
-        """The error that ends the episode; the process ends as well."""
+        """End the process; returns the error that ends the episode."""
         self.close()
-        return EntryError(f"{' '.join(self._who)}: {str(reason)[:300]}")
+        return EntryError(f"{' '.join(self._identity)}: {str(reason)[:300]}")
 
     def close(self) -> None:
         """End the process."""
@@ -69,9 +69,16 @@ class EntryProcess:
         path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
         pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
         child = asyncio.create_subprocess_exec(
-            sys.executable, "-m", "agents.ranking.child", *self._who, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
+            sys.executable,
+            "-m",
+            "agents.ranking.child",
+            *self._identity,
+            stdin=pipe,
+            stdout=pipe,
+            limit=_LONGEST,
+            env=env,
         )
-        self._process, self._patience = self._loop.run_until_complete(child), START
+        self._process, self._next_limit = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
         if not isinstance(about, dict):
             raise self.refuse("what it says of itself is nonsense")
@@ -123,11 +130,11 @@ class EntryAgent:
 
 
 def associate_in(process: EntryProcess, scan: Scan, prediction: Prediction) -> Hypothesis:
-    """What an associator in a process of its own answers."""
+    """The hypothesis of an associator in a process of its own."""
     answer = process.ask(scan, prediction)
     try:
         new, known = answer["new"], answer["experience"]
-        found = Hypothesis(
+        hypothesis = Hypothesis(
             np.array(answer["features"]),
             float(_numbers(answer["joint_distance"], ())),
             int(answer["dof"]),
@@ -138,13 +145,13 @@ def associate_in(process: EntryProcess, scan: Scan, prediction: Prediction) -> H
                 _numbers(known["detections"], (-1,)),
             ),
         )  # fmt: skip
-        return check_hypothesis(found, len(scan), int(prediction.features.max(initial=-1)) + 1)
+        return check_hypothesis(hypothesis, len(scan), int(prediction.features.max(initial=-1)) + 1)
     except _NONSENSE as error:
         raise process.refuse(f"no hypothesis, {error}") from None
 
 
 def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-    """What a relocator in a process of its own answers."""
+    """The relocation of a relocator in a process of its own."""
     answer = process.ask(scan, landmarks, locality)
     try:
         features, pose, covariance = np.array(answer["features"]), np.full(3, np.nan), np.full((3, 3), np.nan)
@@ -153,7 +160,7 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
         if located:
             distance = float(_numbers(answer["joint_distance"], ()))
             pose, covariance = _numbers(answer["pose"], (3,)), _numbers(answer["covariance"], (3, 3))
-            np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # refuses what is no covariance
+            np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # raises unless it is a covariance
         counts = [int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties")]
         dof, least, ambiguous, ties = counts
         return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
@@ -162,10 +169,10 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
 
 
 def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Finite numbers of that shape; −1 stands for any length."""
-    found = np.array(value, np.float64)
-    if found.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, found.shape)):
-        raise ValueError(f"numbers of shape {found.shape}, expected {shape}")
-    if not np.isfinite(found).all():
+    """`value` as an array of finite numbers of this shape, in which −1 stands for any length; else ValueError."""
+    array = np.array(value, np.float64)
+    if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape)):
+        raise ValueError(f"numbers of shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
         raise ValueError("a number is not finite")
-    return found
+    return array

@@ -1,7 +1,7 @@
-"""The frozen protocol: on which worlds an entry is judged, by what, and the tasks that do it.
+"""The frozen protocol: the worlds in which an entry is evaluated, its losses, and the tasks of the evaluation.
 
-What an entry loses is a number in an episode, 0 at best: the map's error where something is driven, 1 − score in the
-suite. A column is an experiment or a scenario; the mean over columns ranks.
+The loss of an episode is 0 at best: the map error of a drive, or 1 − score in the suite. A column is an experiment or a
+scenario; the mean over columns determines the rank.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from slam_gym.simulation.judged import CEILING
 
 Role = Literal["agent", "associator", "relocator"]
 Parts = dict[str, int]
-"""Scenarios and levels of the suite (EXPERIMENT/NUMBER), and how many worlds of each."""
+"""Scenarios and levels of the suite (EXPERIMENT/NUMBER), with the number of worlds of each."""
 
 VERSION = 3
-"""Of the protocol: raised with any change of what follows, of the floors, or of how an episode is run."""
+"""Version of the protocol, raised with any change of what follows, of the floors, or of the run of an episode."""
 
 SPLIT = "test"
-FIRST = 1000  # of its worlds: those before it are looked at while somebody develops, and tell less
-PROBLEMS = 12  # of a world of the suite, at most
-DRIVER = "information_gain"  # where the entry does not drive
+FIRST = 1000  # number of its first world; earlier worlds are used in development, and may be overfitted
+PROBLEMS = 12  # largest number in a world of the suite
+DRIVER = "information_gain"  # of entries that are not agents
 LOST = 1.0
-"""The loss of an episode in which the entry fails: that of an empty map."""
+"""The loss of an episode in which the entry fails, which is the loss of an empty map."""
 
 _CALM = ("office-small", "office", "aliased", "hall", "crowd")
 _DRIFT = ("drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift")
@@ -51,53 +51,53 @@ QUICK: dict[Role, Parts] = {
     "associator": {"clutter/1": 1, "office-small": 1},
     "relocator": {"kidnapped/0": 1, "office-small": 1},
 }
-"""For tests: ranked among themselves only."""
+"""Short protocols for tests; their entries are ranked separately."""
 
 
 class Protocol(NamedTuple):
-    """What an entry of a role is put through."""
+    """The protocol for entries of a role."""
 
     role: Role
     quick: bool = False
 
     @property
     def parts(self) -> Parts:
-        """Its settings, and how many worlds of each."""
+        """Its settings, with the number of worlds of each."""
         return (QUICK if self.quick else PARTS)[self.role]
 
     @property
     def about(self) -> dict[str, Any]:
-        """Which protocol it is: only entries of the same `hash` are compared."""
+        """The identity of the protocol. Only entries with the same `hash` are compared."""
         frozen = json.dumps([VERSION, SPLIT, FIRST, PROBLEMS, DRIVER, self.role, self.parts])
-        found = hashlib.sha256(frozen.encode()).hexdigest()[:16]
-        return {"version": VERSION, "role": self.role, "quick": self.quick, "hash": found}
+        digest = hashlib.sha256(frozen.encode()).hexdigest()[:16]
+        return {"version": VERSION, "role": self.role, "quick": self.quick, "hash": digest}
 
 
 def column_of(setting: str) -> str:
-    """What a setting is counted under."""
+    """The column in which a setting counts."""
     return setting.partition("/")[0]
 
 
 def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
-    """The record of one world of one setting: what the entry loses there, and how it failed if it did."""
+    """The record of one world of one setting: the loss of the entry, and the error if it failed."""
     try:
         if "/" not in setting:
             agent, env = _loop(entry, role, setting)
             return [{"loss": float(run_episode(env, agent, episode)["map_error"])}]
-        ask, asked = relocate if role == "relocator" else associate, {entry: _searcher(entry, role)}
-        return [{"loss": 1.0 - ask(setting, episode, asked, PROBLEMS, SPLIT)[entry]["score"]}]
+        evaluate, searchers = relocate if role == "relocator" else associate, {entry: _searcher(entry, role)}
+        return [{"loss": 1.0 - evaluate(setting, episode, searchers, PROBLEMS, SPLIT)[entry]["score"]}]
     except EntryError as error:
         return [{"loss": LOST, "failed": str(error)}]
 
 
 @functools.lru_cache(maxsize=4)
 def process(role: Role, name: str) -> EntryProcess:
-    """The process of an entry, one for each process of the evaluation."""
+    """The process of an entry. Each process of the evaluation has one."""
     return EntryProcess(role, name)
 
 
 def _searcher(name: str, role: Role) -> Any:
-    """An associator or relocator in its own process; `true_association` is told the truth, which no process gets."""
+    """An associator or relocator in its own process, or the name `true_association`, which runs here with the truth."""
     if name == CEILING:
         return CEILING
     return functools.partial(associate_in if role == "associator" else relocate_in, process(role, name))
@@ -105,15 +105,15 @@ def _searcher(name: str, role: Role) -> Any:
 
 @functools.lru_cache(maxsize=2)
 def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any]]:
-    """Who drives, and the environment; what the entry does not do is done by the baselines."""
+    """The driver and the environment, in which baselines play the other roles."""
     agent: Agent = EntryAgent(process("agent", name)) if role == "agent" else make_agent(DRIVER)
-    others = {"associator": "associator", "relocator": "relocation"}
-    own = {others[role]: _searcher(name, role)} if role in others else {}
-    return agent, ExploreArguments(scenario, split=SPLIT).make(agent.action, **own)
+    arguments = {"associator": "associator", "relocator": "relocation"}
+    entry = {arguments[role]: _searcher(name, role)} if role in arguments else {}
+    return agent, ExploreArguments(scenario, split=SPLIT).make(agent.action, **entry)
 
 
 def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
-    """An entry through the protocol."""
+    """The evaluation of an entry by the protocol."""
     keys = [Key(name, setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
     tasks = [Task([key], functools.partial(lose, name, chosen.role, key.setting, key.episode)) for key in keys]
     return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about)

@@ -1,4 +1,4 @@
-"""The page of drives: of drivers, or of associators whose map survives or does not."""
+"""The page of drives: an evaluation of drivers, or of associators in the loop."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ PAIRED = "paired over the episodes of all scenarios; negative: the row makes the
 
 
 def drives_page(results: Results, folder: Path) -> Page:
-    """Per scenario the table and the episodes behind it; all against all. Of drivers, their course over time, and the
-    films that `folder` may hold; of associators, whose map survives."""
+    """A table for each scenario with its episodes, and differences between all pairs; for drivers curves over time, for
+    associators final maps and lost maps; and the films in `folder`."""
     kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
     drivers, parts = kind == "drivers", list[Part]()
-    for table, (setting, own) in zip(drive_tables(results), by_setting(results.frame).items()):
-        dots = partial(figures.dot_chart, by_name(own), PANELS[kind], colour)
+    for table, (setting, frame) in zip(drive_tables(results), by_setting(results.frame).items()):
+        dots = partial(figures.dot_chart, by_name(frame), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
         if drawn := {name: path for name in groups if (path := map_path(folder, setting, name)).exists()}:
             final = partial(figures.side_by_side, drawn)
@@ -82,25 +82,25 @@ def drives_page(results: Results, folder: Path) -> Page:
 
 
 def drive_tables(results: Results) -> list[Table]:
-    """One table a scenario, of those who were evaluated in the order in which they were asked for.
+    """One table per scenario, with rows in the order of the command.
 
-    Models of one agent are pooled. Where a robot was carried away, there are columns about relocation.
+    Models of one agent are pooled. Where a robot was carried away, there are columns on relocation.
     """
-    kind, found = results.metadata["kind"], []
-    for setting, own in by_setting(results.frame).items():
-        shown = COLUMNS[kind] + (RELOCATION_COLUMNS if own["kidnapped"].any() else [])
-        title = f"{setting}, {counted(own['episode'].nunique(), 'episode')}"
+    kind, tables = results.metadata["kind"], []
+    for setting, frame in by_setting(results.frame).items():
+        shown = COLUMNS[kind] + (RELOCATION_COLUMNS if frame["kidnapped"].any() else [])
+        title = f"{setting}, {counted(frame['episode'].nunique(), 'episode')}"
         title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
-        rows = {name: estimates(episodes, shown) for name, episodes in by_name(own).items()}
+        rows = {name: estimates(episodes, shown) for name, episodes in by_name(frame).items()}
         table = Table(title, kind.removesuffix("s"), shown, rows)
         if Clairvoyant.name in rows:
             table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
-        found.append(table)
-    return found
+        tables.append(table)
+    return tables
 
 
 def headline(frame: pd.DataFrame) -> list[Table]:
-    """Two tables: mean map errors and lost maps, and paired differences to the truth with the same relocation."""
+    """Two tables: map errors with lost maps, and paired differences to true association with the same relocation."""
     groups, (lost,) = by_name(frame), columns("map_lost")
     means = [Column(setting, setting, 3, "lower") for setting in (*by_setting(frame), "mean")]
     errors: Rows = {}
@@ -118,9 +118,9 @@ def headline(frame: pd.DataFrame) -> list[Table]:
             }
     caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
     shown = [*means, Column("median", "median"), lost]
-    found = [Table("Map error", "associator", shown, errors, caption)]
+    tables = [Table("Map error", "associator", shown, errors, caption)]
     if gaps:
         caption = "mean over the same episodes, 95 % bootstrap interval"
         title = "Map error above that of true association with the same relocation"
-        found.append(Table(title, "associator", means, gaps, caption, differences=True))
-    return found
+        tables.append(Table(title, "associator", means, gaps, caption, differences=True))
+    return tables

@@ -1,4 +1,4 @@
-"""The figures of the reports: one style, one colour a name."""
+"""The figures of the reports, in one style and with one colour for each name."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ matplotlib.rcParams.update({
 
 
 Colours = Mapping[str, str]
-"""Of names, see `colours`."""
+"""Name → colour, see `colours`."""
 
 
 def colours(names: Sequence[str]) -> Colours:
-    """The colour of each name throughout a report; the ceiling is drawn in ink."""
+    """The colour of each name throughout a report; the ceiling has the colour of text."""
     others = [name for name in names if name != CEILING]
     return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)} | {CEILING: INK}
 
 
 def _figure(height: float) -> Figure:
-    """An empty figure of so many inches."""
+    """An empty figure of `height` [inches]."""
     return Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
 
 
-def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
-    """Estimates with the band of their intervals; the ceiling is dashed."""
-    middle, low, high = np.array([(value.estimate, value.low, value.high) for value in found]).T
+def _line(axis: Axes, x: Array, intervals: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
+    """Draw estimates with the band of their intervals; the ceiling is dashed."""
+    middle, low, high = np.array([(value.estimate, value.low, value.high) for value in intervals]).T
     style, marker = ("--", "") if name == CEILING else ("-", marker)
     axis.plot(x, middle, style, marker=marker, markersize=5, color=colour, linewidth=1.9, label=display_name(name))
     axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
@@ -62,7 +62,7 @@ def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: st
 
 
 def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
-    """Every episode as a dot, with mean and interval of each name; `groups` are the episodes of each."""
+    """Every episode as a dot, with estimate and interval for each name; `groups` are the episodes by name."""
     figure, rng = _figure(1.3 + 0.42 * len(groups)), np.random.default_rng(0)
     axes = figure.subplots(1, len(shown), sharey=True)
     for axis, column in zip(axes, shown):
@@ -93,7 +93,7 @@ def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], col
     curves = {name: [json.loads(cell) for cell in own["curve"]] for name, own in groups.items()}
     for axis, column in zip(axes, shown):
         for name, own in curves.items():
-            # after the end of an episode its curve stays where it was
+            # after the end of an episode, its curve stays constant
             at_grid = np.array([np.interp(grid, curve["ticks"], curve[column.key]) for curve in own])
             _line(axis, grid, [estimate(values, resamples=1000) for values in at_grid.T], name, colour[name])
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
@@ -103,8 +103,8 @@ def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], col
 
 
 def final_map(episode: Episode) -> Figure:
-    """The map of an episode at its end: true walls black, true features grey, mapped ones blue, the path red, and red
-    lines from where features are to where the map has them."""
+    """The final map of an episode: true walls black, true features grey, mapped features blue, the path red, and red
+    lines from true features to their positions in the map."""
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
     axis = plot_episode(episode, figure.subplots(), errors=True)
     axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
@@ -112,7 +112,7 @@ def final_map(episode: Episode) -> Figure:
 
 
 def side_by_side(pictures: Mapping[str, Path]) -> Figure:
-    """Files .png by name, at most three in a row."""
+    """A figure of .png files with their names, at most three in a row."""
     across = min(len(pictures), 3)
     down = math.ceil(len(pictures) / across)
     figure = _figure(0.3 + 0.88 * down * WIDTH / across)
@@ -129,7 +129,7 @@ def side_by_side(pictures: Mapping[str, Path]) -> Figure:
 
 
 def capability_bars(scores: Mapping[str, Mapping[str, Interval]], colour: Colours) -> Figure:
-    """One group of bars per capability, one bar per name with its interval; the ceiling, near 1, is left out."""
+    """A group of bars for each capability, with a bar and interval for each name; the ceiling is left out."""
     names = [name for name in scores if name != CEILING] or list(scores)
     estimates, low, high = (
         pd.DataFrame({name: {of: getattr(v, end) for of, v in scores[name].items()} for name in names})
@@ -148,7 +148,7 @@ def capability_bars(scores: Mapping[str, Mapping[str, Interval]], colour: Colour
 
 
 def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colour: Colours) -> Figure:
-    """Score against the knob, level by level at equal distances, with interval bands: name → knob → score."""
+    """Score against the knob, with levels at equal distances and interval bands; `curves` are name → knob → score."""
     figure = _figure(3.5)
     axis = figure.subplots()
     for i, (name, curve) in enumerate(curves.items()):
@@ -168,10 +168,10 @@ _REFERENCE, _LANDMARK, _DUPLICATE, _CLUTTER, _UNLABELLED = "#aeb8c2", "#2f6db5",
 def maps(
     errors: Mapping[str, pd.DataFrame], features: Mapping[str, pd.DataFrame], landmarks: Array, colour: Colours
 ) -> Figure:
-    """One panel per associator: its path over the reference, and its features by what they are.
+    """One panel per associator, with its path over the reference, and its features by kind.
 
-    `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `landmarks` (L, 2) are
-    the true places, if known.
+    `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `landmarks` (L, 2) [m]
+    are the true positions, if known.
     """
     drawn = [own[["x", "y"]] for own in errors.values()]
     drawn += [own[["reference_x", "reference_y"]] for own in errors.values()]
@@ -197,7 +197,7 @@ def maps(
 
 
 def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
-    """Corners of what is drawn: the landmarks, and all but the outermost of the rest, since a GPS jumps."""
+    """Corners of the axes, which contain the landmarks and all but the outermost other points, since a GPS jumps."""
     low, high = np.quantile(points, [0.003, 0.997], axis=0)
     low, high = np.vstack([low, landmarks]).min(axis=0), np.vstack([high, landmarks]).max(axis=0)
     room = 0.05 * (high - low).max() + 1e-9
@@ -205,7 +205,7 @@ def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
 
 
 def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None:
-    """Dots: the first of each landmark, further ones of the same, and what no landmark is behind."""
+    """Draw features as dots: the first of each landmark, duplicates, and features without a landmark."""
     shown = features[features["confirmed"] > 0]
     identity, first = shown["identity"], ~shown["identity"].duplicated()
     if len(landmarks):
@@ -218,12 +218,12 @@ def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None
     )
     for label, rows, colour in kinds:
         if rows.any():
-            own = shown[rows]
-            axis.plot(own["aligned_x"], own["aligned_y"], ".", color=colour, markersize=4.5, label=label)
+            chosen = shown[rows]
+            axis.plot(chosen["aligned_x"], chosen["aligned_y"], ".", color=colour, markersize=4.5, label=label)
 
 
 def errors_over_time(errors: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
-    """Distance to the reference, aligned, over the time of the log."""
+    """Distance to the reference after alignment, over the time of the log."""
     figure = _figure(3.6)
     axis = figure.subplots()
     for name, error in errors.items():

@@ -1,4 +1,4 @@
-"""Short films of episodes: the same seeds as the evaluation, drawn tick by tick; of one, or of several side by side."""
+"""Short films of episodes, with the seeds of the evaluation: of one episode, or of several side by side."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from slam_gym.simulation.episode import Episode
 FRAMES = 300
 RATE = 20  # [frames/s]
 BESIDE = "side-by-side"
-SLOW = 8  # frames a tick, around a kidnapping and a recovery
+SLOW = 8  # frames per tick, around a kidnapping and a recovery
 
 
 def film_path(out: Path, agent: str) -> Path:
-    """Where an agent's film lies; its last picture has the same name with .png."""
+    """The file of an agent's film; its last picture has the same name with .png."""
     return out / "films" / f"{stem(agent)}.mp4"
 
 
 def films_of(
     drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path
 ) -> list[Callable[[], Path]]:
-    """Calls that film that episode, one per agent, by its first model; those that are there already stay."""
+    """Calls that film an episode, one per agent, with its first model. Films that exist already are left out."""
     first = {driver.agent: driver for driver in reversed(drivers)}
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
@@ -48,16 +48,16 @@ def films_of(
 def beside(
     arguments: ExploreArguments, driver: str, associators: Sequence[str], episode: int, out: Path
 ) -> list[Callable[[], Path]]:
-    """The call that films that episode with each of the associators side by side, if the film is not there yet."""
+    """The call that films an episode with all associators side by side; none if the film exists already."""
     path = film_path(out, BESIDE)
     call = partial(film_beside, arguments, Driver(driver), associators, episode, path)
     return [] if path.with_suffix(".png").exists() else [call]
 
 
 def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) -> Path:
-    """Film one episode into `path` (.mp4); its last picture is kept beside it as .png, which is returned.
+    """Film one episode to `path` (.mp4), and write its last picture beside it as .png, whose path is returned.
 
-    At most about `FRAMES` frames, however long the episode is, and a pause at the first wrong pairing.
+    The film has at most about `FRAMES` frames, and a pause at the first wrong pairing.
     """
     return _cut([_shots(arguments, driver, episode, None)], path)
 
@@ -65,18 +65,18 @@ def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) 
 def film_beside(
     arguments: ExploreArguments, driver: Driver, associators: Sequence[str], episode: int, path: Path
 ) -> Path:
-    """As `film`, of the same episode with each of the associators, side by side."""
+    """As `film`, for the same episode with each of the associators, side by side."""
     reels = [_shots(arguments, driver, episode, metered(name)[1]) for name in associators]
     return _cut(reels, path, [display_name(name) for name in associators])
 
 
 class Shot(NamedTuple):
-    """A picture of a film, compressed: a film of several episodes needs all of them at once."""
+    """A picture of a film. It is compressed, since a film of several episodes needs all of them at once."""
 
     tick: int
     picture: bytes
     shape: tuple[int, ...]
-    frames: int  # for which it stands still
+    frames: int  # for which it is shown
 
     def pixels(self) -> NDArray[np.uint8]:
         return np.frombuffer(zlib.decompress(self.picture), np.uint8).reshape(self.shape)
@@ -85,7 +85,7 @@ class Shot(NamedTuple):
 def _shots(
     arguments: ExploreArguments, driver: Driver, episode: int, associator: Associator | str | None
 ) -> list[Shot]:
-    """Those of one episode, in the order of their ticks; the last one shows its end."""
+    """The shots of one episode, in the order of their ticks; the last shows the end of the episode."""
     agent, shots, wrong = driver.make(), list[Shot](), False
     env = arguments.make(agent.action, render_mode="rgb_array", associator=associator)
     stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
@@ -94,9 +94,9 @@ def _shots(
         nonlocal wrong
         run = env.unwrapped.episode  # type: ignore[attr-defined]
         first_wrong, wrong = not wrong and run.identities.total.fp > 0, run.identities.total.fp > 0
-        closer = RATE if first_wrong else SLOW if _worth_a_closer_look(run) else 1
-        if closer > 1 or run.ticks % stride == 0:
-            shots.append(_shot(env, closer))
+        frames = RATE if first_wrong else SLOW if _is_slow(run) else 1
+        if frames > 1 or run.ticks % stride == 0:
+            shots.append(_shot(env, frames))
 
     run_episode(env, agent, episode, watch)
     shots.append(_shot(env, RATE))
@@ -111,8 +111,8 @@ def _shot(env: gym.Env[Any, Any], frames: int) -> Shot:
 
 
 def _cut(reels: Sequence[Sequence[Shot]], path: Path, names: Sequence[str] = ()) -> Path:
-    """Write the shots of episodes side by side, below their `names`: at each tick the latest of each, for as long as
-    any stands still."""
+    """Write the shots of episodes side by side, below their `names`: at each tick the latest shot of each episode, for
+    the longest duration among the new ones."""
     path.parent.mkdir(parents=True, exist_ok=True)
     above = [np.hstack([_heading(name, reel[0].shape[1]) for name, reel in zip(names, reels)])] if names else []
     shown, left = [reel[0] for reel in reels], [deque(reel) for reel in reels]
@@ -130,7 +130,7 @@ def _cut(reels: Sequence[Sequence[Shot]], path: Path, names: Sequence[str] = ())
 
 
 def _heading(words: str, width: int) -> NDArray[np.uint8]:
-    """(32, width, 3) words in the middle of a strip."""
+    """A strip (32, width, 3) with words in the middle."""
     strip = pygame.Surface((width, 32), depth=32)
     strip.fill(symbols.PAPER)
     line = text(words, 18, symbols.INK, bold=True)
@@ -138,7 +138,7 @@ def _heading(words: str, width: int) -> NDArray[np.uint8]:
     return pixels(strip)
 
 
-def _worth_a_closer_look(episode: Episode) -> bool:
-    """The robot has just been carried away, or has just found where it is."""
+def _is_slow(episode: Episode) -> bool:
+    """Whether the robot has just been carried away or relocated, so that the film slows down."""
     moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
     return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)

@@ -1,7 +1,7 @@
 """The report of an evaluation: one page of HTML, made from its folder.
 
-A page is a list of parts in their order: tables, pictures, films and paragraphs, made from results by the function of
-their kind. Pictures are inside the page; only films lie beside it. The terminal shows the tables of the same page.
+A page is a list of parts in order: tables, pictures, films and paragraphs, made from results by the function for their
+kind. Pictures are embedded in the page; films are separate files. The terminal shows the tables of the same page.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PAGES = {
     "suite": "agents.reports.suite:suite_page",
     "recordings": "agents.reports.recordings:recordings_page",
 }
-"""By the kind of an evaluation: what makes its page of results and the folder that they are from."""
+"""Kind of an evaluation → the function that makes its page from the results and their folder."""
 
 
 class Picture(NamedTuple):
@@ -40,7 +40,7 @@ class Picture(NamedTuple):
 
 
 class Film(NamedTuple):
-    """The first episode: the film, its last picture, and the error of the map; None where several are side by side."""
+    """A film of the first episode with its last picture and map error; the error is None for several side by side."""
 
     agent: str
     path: Path  # .mp4; the picture beside it is .png
@@ -52,22 +52,22 @@ Part = Table | Picture | Film | str
 
 @dataclass(frozen=True)
 class Page:
-    """What a report shows; the terminal shows its tables, the headline last."""
+    """The contents of a report. The terminal shows its tables, the headline last."""
 
     title: str
     subtitle: str
     parts: Sequence[Part]
     notes: str  # the template that explains the columns
-    headline: Sequence[Table] = ()  # what the report begins with
+    headline: Sequence[Table] = ()  # at the beginning of the report
 
     @property
     def tables(self) -> list[Table]:
-        """Those of the terminal."""
+        """The tables for the terminal."""
         return [*(part for part in self.parts if isinstance(part, Table) and not part.detail), *self.headline]
 
 
 def page_of(results: Results, folder: Path) -> Page:
-    """The page of an evaluation. ValueError where its kind makes its own, or numbers are none."""
+    """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
     kind = results.metadata["kind"]
     if kind not in PAGES:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
@@ -78,9 +78,9 @@ def page_of(results: Results, folder: Path) -> Page:
 
 
 def write_report(folder: Path) -> Path:
-    """Write report.html into the folder of an evaluation, from the files there, and return its path.
+    """Write report.html to the folder of an evaluation, from the files there, and return its path.
 
-    Raises ValueError where it holds none, or nothing finished yet.
+    Raises ValueError where the folder contains no evaluation, or no finished episode.
     """
     results = read_results(folder)
     page = page_of(results, folder)
@@ -97,7 +97,7 @@ def write_report(folder: Path) -> Path:
 
 
 def data_url(picture: Picture | Path) -> str:
-    """A figure, or a file .png, as the address of a picture inside the page."""
+    """A data URL with a figure, or with the contents of a .png file."""
     if isinstance(picture, Path):
         png = picture.read_bytes()
     else:

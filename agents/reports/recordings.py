@@ -1,4 +1,4 @@
-"""The page of recordings: what each associator has made of each log, and the files behind it drawn."""
+"""The page of recordings: the measures of each associator on each log, with maps and errors."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ FURTHER_COLUMNS = columns(
     "nodes", "microseconds", "step_microseconds", "limits",
 )  # fmt: skip
 CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
-least squares with the same pairings; of the true ones, it is the best that could be had.
-feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.
+least squares with the same pairings; with true pairings, it is the best possible result.
+feat.: confirmed features; dupl.: further ones of a landmark; clut.: of no landmark.
 s: time of the whole log."""
 
 
 def recordings_page(results: Results, folder: Path) -> Page:
-    """Per log its tables, the maps over the reference, the errors over time; means where there are several."""
+    """For each log its tables, maps over the reference, and errors over time; means where there are several logs."""
     logs, colour, parts = by_setting(results.frame), figures.colours(results.names), list[Part]()
     for name, own in logs.items():
         about = own.iloc[0]
@@ -48,29 +48,29 @@ def recordings_page(results: Results, folder: Path) -> Page:
 
 
 def tables(frame: pd.DataFrame, title: str) -> list[Table]:
-    """The most important numbers of one log, or of the means, and further ones; columns in which there is anything."""
-    found = []
+    """Two tables of one log, or of means: the most important columns, and further ones. Empty columns are left out."""
+    both = []
     for shown in (COLUMNS, FURTHER_COLUMNS):
-        kept = [column for column in shown if frame[column.key].notna().any()]
-        rows = frame.set_index("name")[[column.key for column in kept]].astype(float).to_dict("index")
-        found.append(Table(title, "associator", kept, rows, CAPTION))
-    return [found[0], replace(found[1], title="", caption="", detail=True)]
+        filled = [column for column in shown if frame[column.key].notna().any()]
+        rows = frame.set_index("name")[[column.key for column in filled]].astype(float).to_dict("index")
+        both.append(Table(title, "associator", filled, rows, CAPTION))
+    return [both[0], replace(both[1], title="", caption="", detail=True)]
 
 
 def means(frame: pd.DataFrame) -> pd.DataFrame:
-    """Of each associator that was run over all logs, in the order of the frame; one row each."""
+    """The means of each associator that was run over all logs, in the order of the frame."""
     groups = frame.groupby("name", sort=False)
-    found = groups[[column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]].mean()
-    return found[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
+    table = groups[[column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]].mean()
+    return table[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
 
 
 def _pictures(log: str, names: pd.Series, folder: Path, colour: Colours) -> list[Part]:
-    """Maps and errors of the associators whose files are there, where the log has a reference."""
+    """Maps and errors of the associators whose files exist, if the log has a reference."""
     errors, features = {}, {}
     for name in names:
         files = [folder / f"{stem(log, name)}.{kind}.csv" for kind in ("errors", "map")]
-        if all(file.exists() for file in files) and len(found := pd.read_csv(files[0])):
-            errors[name], features[name] = found, pd.read_csv(files[1])
+        if all(file.exists() for file in files) and len(error := pd.read_csv(files[0])):
+            errors[name], features[name] = error, pd.read_csv(files[1])
     if not errors:
         return []
     landmarks = pd.read_csv(folder / f"{stem(log)}.landmarks.csv").to_numpy()

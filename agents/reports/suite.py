@@ -1,4 +1,4 @@
-"""The page of the association suite: the one number per capability that it is about, made from results of worlds."""
+"""The page of the association suite: one number per capability, from the results of worlds."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *columns("promis
 
 
 def suite_page(results: Results, folder: Path) -> Page:
-    """The numbers, who is ahead of whom, and a plot per capability."""
+    """The scores, their differences in the ranking, and a plot for each capability."""
     size, colour, parts = results.conditions, figures.colours(results.names), list[Part]()
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
     association, _ = by_role(results.frame)
     if len(association):
-        found = scores(association)
+        capability_scores = scores(association)
         parts.append(capabilities(association, f"Capabilities, {about}"))
-        parts.append(Picture("Score per capability", partial(figures.capability_bars, found, colour)))
+        parts.append(Picture("Score per capability", partial(figures.capability_bars, capability_scores, colour)))
         if gaps := leads(association):
             ahead, caption = _scores_of(association), "paired over worlds; bold: the interval excludes 0"
             parts.append(Table("Ahead of the next", "ahead of the next by", ahead, gaps, caption, True, detail=True))
-    for name, own in results.frame.groupby("experiment", sort=False):
+    for name, frame in results.frame.groupby("experiment", sort=False):
         experiment = EXPERIMENTS[str(name)]
         if name == RELOCATION:
-            table = relocations(own, f"Kidnapped: searches without a prior, {about}")
+            table = relocations(frame, f"Kidnapped: searches without a prior, {about}")
         else:
-            table = Table(experiment.name.capitalize(), "associator", DETAILS, details(own, DETAILS), "", detail=True)
-        curves = {who: levels(own[own["name"] == who]) for who in table.rows}
+            table = Table(experiment.name.capitalize(), "associator", DETAILS, details(frame, DETAILS), "", detail=True)
+        curves = {row: levels(frame[frame["name"] == row]) for row in table.rows}
         chart = partial(figures.level_chart, curves, experiment.axis, colour)
         parts += [table, f"{experiment.question} {experiment.why}", Picture(f"Score against {experiment.axis}", chart)]
     subtitle = f"{about}, of the {size['split']} split, the same for all: single scans against real SLAM maps"
@@ -49,14 +49,14 @@ def suite_page(results: Results, folder: Path) -> Page:
 
 
 def capabilities(frame: pd.DataFrame, title: str = "") -> Table:
-    """The scores of associators in every experiment, and their mistakes, the best first."""
+    """The scores of associators in every experiment, and their mistakes, best first."""
     mistakes = details(frame, MISTAKES)
     rows = {name: own | mistakes[name] for name, own in scores(frame).items()}
     return Table(title, "associator", [*_scores_of(frame), *MISTAKES], rows)
 
 
 def relocations(frame: pd.DataFrame, title: str = "") -> Table:
-    """The scores of searches without a prior, the number of each outcome, and their effort, the best first."""
+    """The scores of searches without a prior, the number of each outcome, and their effort, best first."""
     counts, score = frame.groupby("name")[list(OUTCOMES)].sum(), columns("score")
     rows = {name: own | counts.loc[name].to_dict() for name, own in details(frame, [*score, *EFFORT]).items()}
     outcomes = [Column(outcome, outcome, 0) for outcome in OUTCOMES]
@@ -67,54 +67,54 @@ def relocations(frame: pd.DataFrame, title: str = "") -> Table:
 
 
 def by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The results of associators, and those of the experiment that asks relocators."""
+    """The results of associators, and those of relocators."""
     relocation = frame["experiment"] == RELOCATION
     return frame[~relocation], frame[relocation]
 
 
 def _experiments(frame: pd.DataFrame) -> list[str]:
-    """Those among the results, in the order of the suite."""
+    """The experiments among the results, in the order of the suite."""
     return [name for name in EXPERIMENTS if name in set(frame["experiment"])]
 
 
 def _scores_of(frame: pd.DataFrame) -> list[Column]:
-    """A column an experiment, and their mean."""
+    """A column for each experiment, and one for their mean."""
     return [Column(name, name, 3, "higher") for name in (*_experiments(frame), "all")]
 
 
 def by_world(frame: pd.DataFrame, key: str = "score") -> pd.DataFrame:
-    """A row for each name and world, a column for each experiment: the mean of a number over the levels; and `all`, the
-    mean of these. NaN for a world that lacks the number in one of them."""
+    """The mean of a number over the levels, with a row for each name and world and a column for each experiment; column
+    `all` is the mean of these. NaN for a world that lacks the number in one level."""
     groups = frame.groupby(["experiment", "name", "episode"])[key]
     levels = frame.groupby("experiment")["setting"].nunique()
     counts = groups.count()
     complete = groups.mean().where(counts == counts.index.get_level_values("experiment").map(levels))
-    found = complete.unstack("experiment")[_experiments(frame)]
-    return found.assign(all=found.mean(axis=1, skipna=False))
+    table = complete.unstack("experiment")[_experiments(frame)]
+    return table.assign(all=table.mean(axis=1, skipna=False))
 
 
 def scores(frame: pd.DataFrame) -> dict[str, dict[str, Interval]]:
-    """Name → experiment → interquartile mean over worlds; `all` is that of their means. The best name first."""
+    """Name → experiment → interquartile mean over worlds; `all` is that of the means over experiments. Best first."""
     worlds = by_world(frame)
-    found = {name: _estimates(worlds.loc[name]) for name in frame["name"].unique()}
-    means = {name: own["all"].estimate for name, own in found.items()}
-    return {name: found[name] for name in sorted(found, key=lambda name: (math.isnan(means[name]), -means[name]))}
+    by_name = {name: _estimates(worlds.loc[name]) for name in frame["name"].unique()}
+    means = {name: estimates["all"].estimate for name, estimates in by_name.items()}
+    return {name: by_name[name] for name in sorted(by_name, key=lambda name: (math.isnan(means[name]), -means[name]))}
 
 
 def leads(frame: pd.DataFrame) -> Rows:
-    """Name → experiment → by how much its score is above that of the next in rank, paired over worlds."""
+    """Name → experiment → paired difference over worlds between its score and that of the next in rank."""
     worlds = by_world(frame)
     return {name: {**_estimates(worlds.loc[name] - worlds.loc[after])} for name, after in pairwise(scores(frame))}
 
 
 def details(frame: pd.DataFrame, shown: Sequence[Column]) -> Rows:
-    """Name → key of a column → interquartile mean over worlds of the mean over all levels. The best name first."""
+    """Name → key of a column → interquartile mean over worlds of the mean over all levels. Best first."""
     worlds = pd.DataFrame({column.key: by_world(frame, column.key)["all"] for column in shown})
     return {name: {**_estimates(worlds.loc[name])} for name in scores(frame)}
 
 
 def levels(frame: pd.DataFrame) -> dict[float, Interval]:
-    """Knob → score, of one name in one experiment."""
+    """Knob → score, for one name in one experiment."""
     return {float(knob): estimate(own) for knob, own in frame.groupby("knob", sort=False)["score"]}
 
 

@@ -1,9 +1,9 @@
-"""The problems of a level: real SLAM maps, and scans about which every associator, or every relocator, is asked.
+"""The problems of a level: SLAM maps with scans, the same for every associator or relocator.
 
-A robot goes round a floor twice, place by place, and maps it with true associations. On the second lap some stops
-become problems: the map as it was before, whose robot has driven on without a look and so knows its pose as poorly as
-the level says, and the scan from the true place. No answer changes the map, so that all associators meet the same
-problems.
+A robot goes round a floor twice, place by place, and maps it with true associations. Some stops of the second lap
+become problems: the map before the stop, with a robot that has driven on without scans, so that its pose is as
+uncertain as the level prescribes, and the scan from the true place. Answers do not change the map, so that all
+associators get the same problems.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
-MIN_MAPPED = 4  # measurements of mapped features in a problem: fewer decide nothing
-WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
+MIN_MAPPED = 4  # least number of measurements of mapped features in a problem
+WRONG_COST = 10.0  # of a wrong pairing, relative to a right one, as in the reward of Associate-v0
 
 OUTCOMES = ("correct", "silent", "wrong", "refused", "invented")
-MAX_DISTANCE = 0.3  # [m] a found pose is right within this distance …
-MAX_TURN = math.radians(3.0)  # [rad] … and this angle
-OTHER_BUILDING = 5_000  # it is the world of this many numbers further on
+MAX_DISTANCE = 0.3  # [m] largest position error of a right pose
+MAX_TURN = math.radians(3.0)  # [rad] largest heading error of a right pose
+OTHER_BUILDING = 5_000  # offset from the number of a world to that of its other building
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a lap: how the robot got there and what it sees."""
+    """One stop of a lap: the motion to it, and the scan there."""
 
-    slam: Slam  # as it is before; it goes on once the next stop is asked for
+    slam: Slam  # in the state before the stop; it continues when the next stop is requested
     odometry: Odometry
     scan: Scan
     truth: RightAnswers
@@ -63,13 +63,13 @@ class Stop:
 
 
 def lap_around(site: Site, start: Array, spacing: float) -> Array:
-    """Poses (t, 3) W of one lap over all places some `spacing` [m] apart, always on to the nearest one left."""
+    """Poses (t, 3) W of one lap over places about `spacing` [m] apart, each the nearest that is left."""
     squares = np.unique(np.floor(site.cells / spacing), axis=0, return_index=True)[1]
-    left, at, order = site.cells[squares], start[:2], []
+    left, place, order = site.cells[squares], start[:2], []
     while len(left):
-        nearest = int(np.argmin(((left - at) ** 2).sum(axis=1)))
-        at = left[nearest]
-        order.append(at)
+        nearest = int(np.argmin(((left - place) ** 2).sum(axis=1)))
+        place = left[nearest]
+        order.append(place)
         left = np.delete(left, nearest, axis=0)
     places = np.array(order)
     ahead = np.diff(places, axis=0, append=places[:1])
@@ -77,7 +77,7 @@ def lap_around(site: Site, start: Array, spacing: float) -> Array:
 
 
 class TwoLaps:
-    """Two laps through one world of a level; the second runs backwards. To be driven once."""
+    """Two laps through one world of a level, the second backwards. They can be driven only once."""
 
     def __init__(self, level: Level, world: int, split: str = "test") -> None:
         scenario = level.scenario
@@ -94,22 +94,22 @@ class TwoLaps:
 
     def stops(self) -> Iterator[Stop]:
         """Every stop in turn, mapped with true associations."""
-        scenario, at = self.level.scenario, self.base
+        scenario, previous = self.level.scenario, self.base
         slam = Slam(replace(scenario.slam, reach=scenario.sensor.range))
         judged = JudgedSlam(slam, CEILING)
         reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
         grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
         for pose in self.poses:
-            moved = relative(at, pose)
+            moved = relative(previous, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
             scan, truth = self.look(pose)
             yield Stop(slam, odometry, scan, RightAnswers.of(truth, judged.identities.source_of(slam.map.ids)), grid)
             judged.step(odometry, scan, truth)
             grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
-            at = pose
+            previous = pose
 
     def sampled(self, count: int) -> Iterator[Stop]:
-        """Up to `count` stops, evenly spaced over the second lap, that show enough of what is mapped."""
+        """Up to `count` stops, evenly spaced over the second lap, with enough measurements of mapped features."""
         due = np.linspace(self.second, len(self.poses), count, endpoint=False).astype(int).tolist()
         for k, stop in enumerate(self.stops()):
             if due and k >= due[0] and stop.truth.known >= MIN_MAPPED:
@@ -117,7 +117,7 @@ class TwoLaps:
                 yield stop
 
     def look(self, pose: Array) -> tuple[Scan, Truth]:
-        """A scan from a pose (3,) W, among people who stand somewhere else every time, none on the robot."""
+        """A scan from a pose (3,) W. People stand at new random places, none of them on the robot."""
         dynamics, people = self.level.scenario.dynamics, NO_DISCS
         if dynamics.people:
             cells = self.site.cells[self.rng.integers(len(self.site.cells), size=dynamics.people)]
@@ -141,7 +141,7 @@ def problems(laps: TwoLaps, count: int) -> Iterator[Problem]:
 
 
 def ask(name: str, associate: Associator, problem: Problem) -> Hypothesis:
-    """An associator's answer; the one named `true_association` is handed the truth."""
+    """The hypothesis of an associator; `true_association` receives the truth."""
     if name == CEILING:
         truth = problem.truth
         return true_association(problem.scan, problem.prediction, sources=truth.sources, identities=truth.identities)
@@ -149,21 +149,21 @@ def ask(name: str, associate: Associator, problem: Problem) -> Hypothesis:
 
 
 class Judgement(NamedTuple):
-    """What an answer to one problem comes to, in measurements."""
+    """The judgement on a hypothesis, in numbers of measurements."""
 
     right: int
     wrong: int
-    refused: int  # of a mapped feature, and left unpaired
-    mapped: int  # of a mapped feature
+    refused: int  # measurements of a mapped feature that are left unpaired
+    mapped: int  # measurements of a mapped feature
 
     @property
     def score(self) -> float:
-        """(right − 10 · wrong) / mapped, but not below −1: 1 without a mistake, 0 for refusing everything."""
+        """(right − 10 · wrong) / mapped, but not below −1; 1 without a mistake, 0 where all are refused."""
         return max(-1.0, (self.right - WRONG_COST * self.wrong) / self.mapped)
 
 
 def judge(features: IntArray, right: IntArray) -> Judgement:
-    """The decisions (m,) of a hypothesis, held against the right ones (m,). Raises ValueError for another number."""
+    """Compare the features (m,) of a hypothesis with the right ones (m,). Raises ValueError for different lengths."""
     if len(features) != len(right):
         raise ValueError(f"{len(features)} decisions for {len(right)} measurements")
     paired, mapped = features != UNPAIRED, right != UNPAIRED
@@ -176,16 +176,16 @@ def judge(features: IntArray, right: IntArray) -> Judgement:
 
 @dataclass(frozen=True)
 class RelocationProblem:
-    """A scan, the map that it may be of, and where it was taken."""
+    """A scan, a map that may contain its place, and the true pose."""
 
     scan: Scan
     landmarks: Landmarks
     locality: Locality
-    pose: Array | None  # (3,) of the robot in B, as true associations put it; None: in another building
+    pose: Array | None  # (3,) of the robot in B by true associations; None: in another building
 
 
 def relocation_problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[RelocationProblem]:
-    """Up to `count`: half inside the map, over the second lap; then as many from another building."""
+    """Up to `count` problems: half inside the map, on the second lap, then as many in another building."""
     inside = 0
     for stop in TwoLaps(level, world, split).sampled((count + 1) // 2):
         inside += 1
@@ -203,7 +203,7 @@ def relocation_problems(level: Level, world: int, count: int, split: str = "test
 
 
 def judge_relocation(found: Relocation, truth: Array | None) -> str:
-    """`correct`, `wrong` or `silent` inside the map; `refused` or `invented` outside of it."""
+    """The outcome: `correct`, `wrong` or `silent` inside the map; `refused` or `invented` outside."""
     if truth is None:
         return "invented" if found.accepted else "refused"
     if not found.accepted:

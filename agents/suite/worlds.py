@@ -1,4 +1,4 @@
-"""The tasks of the association suite: one world of one level, about which everybody is asked."""
+"""The tasks of the association suite: each evaluates all associators or relocators in one world of one level."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.types import Hypothesis, IntArray, Relocator
 from slam_gym.validation import one_of
 
-WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
+WORLDS, PROBLEMS = 24, 12  # worlds of a level; largest number of problems of a world
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
 
 
 def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Sequence[str], split: str) -> Evaluation:
-    """Everybody asked about every level, checked. ValueError for names that nobody knows."""
+    """The evaluation of all associators and relocators on every level. Raises ValueError for unknown names."""
     worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
     count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
     for name in associators:
@@ -48,26 +48,26 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
         for level in EXPERIMENTS[name].levels[:: 2 if options.quick else 1]:
             for world in range(worlds):
                 names = relocators if name == RELOCATION else associators
-                keys = [Key(who, level.id, world) for who in names]
-                tasks.append(Task(keys, partial(ask_all, level.id, world, names, count, split)))
+                keys = [Key(each, level.id, world) for each in names]
+                tasks.append(Task(keys, partial(evaluate_all, level.id, world, names, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
     return Evaluation("suite", tasks, size)
 
 
-def ask_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:
-    """What associators make of up to `count` problems in one world of one level; relocators where it is about that."""
+def evaluate_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:
+    """The record of each associator, or relocator, for up to `count` problems in one world of one level."""
     level = get_level(setting)
     if level.experiment == RELOCATION:
-        found = relocate(setting, world, {name: resolve_relocator(name) for name in names}, count, split)
+        records = relocate(setting, world, {name: resolve_relocator(name) for name in names}, count, split)
     else:
-        found = associate(setting, world, {name: find_associator(name) for name in names}, count, split)
-    return [{"experiment": level.experiment, "knob": level.knob} | found[name] for name in names]
+        records = associate(setting, world, {name: find_associator(name) for name in names}, count, split)
+    return [{"experiment": level.experiment, "knob": level.knob} | records[name] for name in names]
 
 
 def associate(
     level: str, world: int, associators: Mapping[str, Associator], count: int, split: str = "test"
 ) -> dict[str, Record]:
-    """What associators make of up to `count` problems of a world, by their names."""
+    """The records of associators, by name, for up to `count` problems of a world."""
     meters = {name: Metered(partial(ask, name, associate)) for name, associate in associators.items()}
     answers: dict[str, list[Hypothesis]] = {name: [] for name in associators}
     right: list[IntArray] = []
@@ -85,21 +85,21 @@ def associate(
 def relocate(
     level: str, world: int, searches: Mapping[str, Relocator], count: int, split: str = "test"
 ) -> dict[str, Record]:
-    """What relocators make of up to `count` problems of a world, by their names."""
+    """The records of relocators, by name, for up to `count` problems of a world."""
     meters = {name: Metered(search) for name, search in searches.items()}
     outcomes: dict[str, Counter[str]] = {name: Counter() for name in searches}
     for problem in relocation_problems(get_level(level), world, count, split):
         for name, meter in meters.items():
-            found = meter(problem.scan, problem.landmarks, problem.locality)
-            outcomes[name][judge_relocation(found, problem.pose)] += 1
+            relocation = meter(problem.scan, problem.landmarks, problem.locality)
+            outcomes[name][judge_relocation(relocation, problem.pose)] += 1
     return {name: relocation_record(outcomes[name]) | meters[name].effort() for name in searches}
 
 
 def association_record(judged: Sequence[Judgement]) -> Record:
     """Fractions over the problems of a world; NaN where it had none.
 
-    The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` ones, all
-    that is mapped is paired rightly and nothing else is paired.
+    The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` scans, all
+    measurements of mapped features are paired rightly and no others are paired.
     """
     scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
     right, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
@@ -115,8 +115,8 @@ def association_record(judged: Sequence[Judgement]) -> Record:
 
 
 def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
-    """Of scans: the mean probability of the best hypothesis, and the rate at which it is right, `*` included; NaN where
-    nobody says how probable it is. Where the posterior is calibrated the two agree."""
+    """The mean probability of the best hypothesis of a scan, and the rate at which it is right, `*` included; NaN
+    without probabilities. The two agree where the posterior is calibrated."""
     p, hit = [], []
     for hypothesis, of_truth in zip(answers, right):
         if (posterior := hypothesis.posterior) is not None:
@@ -132,7 +132,7 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def relocation_record(counts: Counter[str]) -> Record:
-    """Outcomes, and their score: (correct − wrong, of those inside, not below 0) · (refused, of those outside)."""
+    """Outcomes and their score: (fraction correct − wrong inside, not below 0) · (fraction refused outside)."""
     inside = counts["correct"] + counts["silent"] + counts["wrong"]
     outside = counts["refused"] + counts["invented"]
     score = _ratio(max(0, counts["correct"] - counts["wrong"]), inside) * _ratio(counts["refused"], outside)

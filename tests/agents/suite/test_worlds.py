@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from agents.suite.worlds import ask_all
+from agents.suite.worlds import evaluate_all
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation
 
@@ -15,7 +15,7 @@ ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
 
 def run(level, world, names, count):
     """The records of some names in a world of the train split."""
-    return [{"name": name} | found for name, found in zip(names, ask_all(level, world, names, count, "train"))]
+    return [{"name": name} | found for name, found in zip(names, evaluate_all(level, world, names, count, "train"))]
 
 
 @pytest.mark.parametrize("name", ASSOCIATION)
