@@ -1,4 +1,4 @@
-"""Named, frozen configurations: simulated worlds with their seeds, and the settings of recordings."""
+"""Named, frozen configurations: simulated worlds with their seeds, and settings for recordings."""
 
 from slam_gym.scenarios.overrides import overridden, parse_override
 from slam_gym.scenarios.registry import SCENARIOS, from_floor_plan, get_scenario, register

@@ -1,4 +1,4 @@
-"""A scenario changed by dotted names and plain values, as a command line or a JSON file gives them."""
+"""Overrides: change the fields of a scenario by dotted names and plain values, from a command line or a JSON file."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _Record = TypeVar("_Record")
 def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
     """The scenario with some fields changed, e.g. `{"sensor.range": 4.0, "dynamics.people": 3, "generator.rooms": 4}`.
 
-    A name leads through the fields of dataclasses to a bool, a number or a string. `None` is for fields that may be
-    None. Naming a field within one that is None, such as `kidnapping.at` in most scenarios, starts from its defaults.
-    All changes of one dataclass are made at once, so that their order does not matter.
+    A name leads through the fields of dataclasses to a bool, a number or a string. `None` is allowed for fields that
+    may be None. A field of a dataclass that is None, such as `kidnapping.at` in most scenarios, is changed in a default
+    dataclass. All changes of one dataclass are made at once, so their order does not matter.
 
-    Raises ValueError that names the override: where no such field exists (it lists those that do), for a value of the
-    wrong type or a number that is not finite, and for what the dataclasses themselves refuse.
+    Raises ValueError, naming the override, for an unknown field (it lists the known ones), for a value of the wrong
+    type or a number that is not finite, and for values that the dataclasses themselves reject.
     """
     for name, value in overrides.items():
         if not isinstance(name, str):
@@ -41,25 +41,25 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
 
 
 def parse_override(text: str) -> tuple[str, Plain]:
-    """Name and value of a command's `--set NAME=VALUE`: `true`, `false`, `null` and numbers as in JSON, else a string.
+    """Parse the NAME=VALUE of `--set`: `true`, `false`, `null` and numbers as in JSON; other values are strings.
 
-    Raises ValueError where the text has another form.
+    Raises ValueError for a text of another form.
     """
     name, equals, value = text.partition("=")
     if not (name.strip() and equals):
         raise ValueError(f"{text!r}: expected NAME=VALUE, such as sensor.range=4")
     try:
         parsed = json.loads(value)
-    except (ValueError, RecursionError):  # of brackets by the thousand
+    except (ValueError, RecursionError):  # RecursionError: thousands of brackets
         return name.strip(), value
     return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
 
 
 def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _Record:
-    """`record`, a dataclass reached by the names in `prefix`, with the fields changed that `overrides` name."""
+    """The dataclass `record`, whose dotted name is `prefix`, with the fields changed that `overrides` name."""
     hints = get_type_hints(type(record))
     known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
-    below: dict[str, dict[str, Plain]] = {}  # by field, overrides of what is in it; "" stands for the field itself
+    below: dict[str, dict[str, Plain]] = {}  # overrides within each field; "" stands for the field itself
     for name, value in overrides.items():
         first, _, rest = name.partition(".")
         below.setdefault(first, {})[rest] = value
@@ -85,7 +85,7 @@ def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _R
 
 
 def _types(hint: Any) -> tuple[Any, ...]:
-    """The alternatives of an annotation."""
+    """The alternatives of the type annotation `hint`."""
     return get_args(hint) if NoneType in get_args(hint) else (hint,)
 
 
@@ -98,11 +98,11 @@ def _can_change(value: Any, hint: Any) -> bool:
 
 
 def _checked(name: str, value: Plain, hint: Any) -> Plain:
-    """The value as the annotation wants it; a whole number will do for a float."""
+    """The value with the type of the annotation; an integer is accepted for a float. Raises ValueError for others."""
     types = _types(hint)
     if value is None and NoneType in types:
         return None
-    whole = type(value) is int and abs(value) < 1 << 63  # larger ones fit into no array
+    whole = type(value) is int and abs(value) < 1 << 63  # larger ones do not fit into arrays
     for kind in (bool, float, int, str):
         fits = whole if kind is int else isinstance(value, kind) or (whole and kind is float)
         if kind in types and fits and (kind is not float or math.isfinite(value)):  # type: ignore[arg-type]

@@ -1,13 +1,13 @@
-"""The scenarios of the package by name, those that users add, and the settings of recordings.
+"""The scenarios of the package by name, the scenarios that users add, and the settings of recordings.
 
-In scenarios of drift the robot loses so much of its heading between two looks that association decides. At ten scans a
-second, with wheels that are good, every associator makes the same map. These wheels are worse, the other scenarios' by
-three (level 1) to ten (level 3), and the budgets end where drivers still differ; that of `patrol` ends long after all
-has been explored.
+In the scenarios of drift, the robot loses so much of its heading between two scans that association determines the
+result. At ten scans per second and with good odometry, all associators make the same map. The odometry of these
+scenarios is worse than that of the others by a factor of three (level 1) to ten (level 3), and their budgets end where
+drivers still differ; the budget of `patrol` ends long after everything has been explored.
 
-Real buildings have halls of 30 m, which want eyes that reach across. A robot that sees 6 m is blind in the middle of
-such a hall, and no association helps it: features are met again after hundreds of metres, by a pose that has gone wrong
-by metres. One that sees 20 m keeps features in view.
+Real buildings have halls of 30 m, which need a sensor that reaches across. A robot with a range of 6 m sees nothing in
+the middle of such a hall, and no associator can help: features are seen again only after hundreds of metres, from a
+pose with an error of metres. A robot with a range of 20 m keeps features in view.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ DRIFT: dict[int, OdometrySpec] = {
     2: OdometrySpec(forward=0.2, lateral=0.05, turn_per_radian=0.2, turn_per_metre=0.2),
     3: OdometrySpec(forward=0.3, lateral=0.1, turn_per_radian=0.3, turn_per_metre=0.3),
 }
-"""The wheels of each level of drift. Level 0 is `OdometrySpec()`."""
+"""The odometry of each level of drift. Level 0 is `OdometrySpec()`."""
 
 CROWDED: dict[str, Any] = {
     "dynamics": DynamicsSpec(people=6),
     "sensor": SensorSpec(person_detection=0.3),
     "slam": SlamSpec(MapSpec(confirmations=6, unconfirmed_age=12), new_confidence=1.0 - 1e-6),
 }
-"""People hide features and are taken for some, so that it takes more sightings to believe in a feature."""
+"""People hide features and are mistaken for features, so that a feature needs more sightings to be confirmed."""
 
 _FEW_AND_BAD = SensorSpec(range=3.5, detection=0.7, clutter=1.0, range_sigma=0.05, bearing_sigma=0.03)
 _SHORT_SIGHT = SensorSpec(range=4.0)
 _ROUGH = SensorSpec(range=4.0, range_sigma=0.1, bearing_sigma=0.02)
 _HALL_SENSOR = SensorSpec(range_sigma=0.04, bearing_sigma=0.015)
-_SHORTEST, _LONGEST = 1_000, 100_000  # [ticks] of a floor's budget
+_SHORTEST, _LONGEST = 1_000, 100_000  # [ticks] limits of the budget of a floor
 _LARGE_ROOMS = OfficeGenerator(rooms=8, room_width=(8.0, 16.0), room_depth=(8.0, 16.0), corridor_width=(3.0, 5.0))
 
 
@@ -65,7 +65,7 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario("office", OfficeGenerator(), budget=800),
         Scenario("aliased", AliasedGenerator(), budget=800),
         Scenario(
-            "hall",  # long views, and a robot whose noise makes drift count
+            "hall",  # long views, and odometry with notable drift
             HallGenerator(),
             budget=600,
             sensor=_HALL_SENSOR,
@@ -73,70 +73,70 @@ SCENARIOS: dict[str, Scenario] = {
         ),
         Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),
         Scenario(
-            "kidnapped",  # carried away at half time, to where it has been
+            "kidnapped",  # carried at half time to a place where it has been
             OfficeGenerator(),
             budget=800,
             kidnapping=KidnappingSpec(),
         ),
-        _drifting("drift-1", OfficeGenerator(), 1),  # wheels three times as bad as those of `office`
-        _drifting("drift-2", OfficeGenerator(), 2),  # seven times as bad: nearest neighbours lose themselves
-        _drifting("drift-3", OfficeGenerator(), 3),  # ten times as bad: a tick turns by 5° more or less than wheels say
-        _drifting("aliased-drift", AliasedGenerator(), 2),  # identical rooms, and wheels that do not tell them apart
+        _drifting("drift-1", OfficeGenerator(), 1),  # odometry three times as bad as that of `office`
+        _drifting("drift-2", OfficeGenerator(), 2),  # seven times as bad: nearest neighbour fails
+        _drifting("drift-3", OfficeGenerator(), 3),  # ten times as bad: errors of 5° in the turn of a tick
+        _drifting("aliased-drift", AliasedGenerator(), 2),  # identical rooms, which odometry cannot distinguish
         _drifting(
-            "hall-drift",  # long views, in which a wrong heading shows most
+            "hall-drift",  # long views, where a wrong heading matters most
             HallGenerator(),
             2,
             sensor=_HALL_SENSOR,
         ),
-        _drifting("crowd-drift", OfficeGenerator(), 2, **CROWDED),  # drift among people, who are taken for features
+        _drifting("crowd-drift", OfficeGenerator(), 2, **CROWDED),  # drift, and people mistaken for features
         _drifting(
-            "sparse",  # drift, and a sensor that sees little, seldom and badly
+            "sparse",  # drift, and a sensor of short range, few detections and much noise
             OfficeGenerator(),
             2,
             sensor=_FEW_AND_BAD,
         ),
         _drifting(
-            "loop",  # only coming round to the start tells how far the map has bent
+            "loop",  # only the return to the start corrects the drift of the map
             LoopGenerator(),
             1,
             budget=900,
             sensor=_SHORT_SIGHT,
         ),
         _drifting(
-            "patrol",  # a small office, known at half time: who goes back over it has the better map
+            "patrol",  # a small office, explored at half time: revisits improve its map
             OfficeGenerator(rooms=6),
             1,
             budget=1_500,
             sensor=_ROUGH,
         ),
         Scenario(
-            "building",  # large rooms, and a robot that sees across them: by default that of floor plan files
+            "building",  # large rooms, and a robot that sees across them, the default for floor plan files
             _LARGE_ROOMS,
             budget=3_000,
             slam=SlamSpec(
                 MapSpec(unconfirmed_age=5),
                 new_confidence=1.0 - 1e-6,
-                max_chance_probability=0.05,  # jambs stand in pairs
+                max_chance_probability=0.05,  # door jambs come in pairs
             ),
-            sensor=SensorSpec(range=20.0),  # 9 features in sight on real floors, more than 20 in one scan of thirty
+            sensor=SensorSpec(range=20.0),  # 9 features in view on real floors, more than 20 in one of thirty scans
             beams=BeamSpec(count=90, range=20.0),
-            wall_compass=True,  # where a hall shows no feature, its walls still say where the robot is heading
+            wall_compass=True,  # in a hall without features in view, the walls still determine the heading
         ),
         Scenario(
-            "short-sighted",  # the robot of `office` in the same rooms: blind in their middle: who drives matters
+            "short-sighted",  # rooms of `building`, whose middle is out of sight for the robot of `office`: driving matters
             _LARGE_ROOMS,
             budget=5_000,
         ),
     )
 }
-"""The scenarios with a name of their own; the levels of the suite (`slam_gym.scenarios.suite`) go by their ids."""
+"""The scenarios by name, without the levels of the suite (`slam_gym.scenarios.suite`), which are known by their ids."""
 
 
 def get_scenario(name: str) -> Scenario:
-    """The scenario of that name, of a level of the suite such as `closure/3`, or of `"module:name"`.
+    """The scenario with a name, the id of a level of the suite such as `closure/3`, or a name `"module:name"`.
 
-    A module is imported: it registers a scenario by that name, or holds it in a variable so called. Raises ValueError,
-    listing the known names, where there is none.
+    The module is imported; it must register a scenario `name`, or contain it in a variable `name`. Raises ValueError,
+    listing the known names, for an unknown name.
     """
     if name in SCENARIOS:
         return SCENARIOS[name]
@@ -150,9 +150,9 @@ def get_scenario(name: str) -> Scenario:
 
 
 def register(scenario: Scenario) -> None:
-    """Make a scenario known by its name, in this process, to `get_scenario` and the environments.
+    """Register a scenario by its name, in this process, for `get_scenario` and the environments.
 
-    Raises ValueError where another scenario goes by that name, or the name could be that of a level of the suite.
+    Raises ValueError if another scenario has this name, or the name could be that of a level of the suite.
     """
     if SCENARIOS.get(scenario.name, scenario) != scenario:
         raise ValueError(f"there is another scenario {scenario.name!r} already")
@@ -164,9 +164,9 @@ def register(scenario: Scenario) -> None:
 def from_floor_plan(path: str | Path, resolution: float | None = None, like: Scenario | None = None) -> Scenario:
     """A scenario on a floor plan file: the package's JSON, or an occupancy image with its `resolution` [m per pixel].
 
-    Robot, people, sensors and filter are those of `like` (default: building). The plan is read once, here; faults in
-    the file are reported by `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the area that
-    the robot can reach (see `slam_gym.scenarios.registry.floor_budget`).
+    Robot, people, sensors and filter are those of `like` (default: building). The plan is read once, here; errors are
+    those of `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the area that the robot can
+    reach (see `slam_gym.scenarios.registry.floor_budget`).
     """
     plan, like = load_floor_plan(path, resolution), like or SCENARIOS["building"]
     return replace(like, name=plan.name, generator=partial(_this_plan, plan), budget=floor_budget(plan, like))
@@ -177,10 +177,10 @@ def _this_plan(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:
 
 
 def floor_budget(plan: FloorPlan, like: Scenario) -> int:
-    """Ticks in which `like`'s robot can explore a floor: reachable area · (2 + 20 m / range of the beams) per m².
+    """Ticks in which the robot of `like` can explore a floor: reachable area · (2 + 20 m / range of the beams) per m².
 
-    On real floors a driver that never lost itself knew 0.95 of the area after 1.4 to 1.9 ticks per m² with beams of
-    20 m, and after 3.9 with beams of 6 m, so that a third to a half of the budget is left for detours and revisits.
+    On real floors, a driver that was never lost explored 0.95 of the area after 1.4 to 1.9 ticks per m² with beams of
+    20 m, and after 3.9 with beams of 6 m, so that a third to a half of the budget remains for detours and revisits.
     """
     cells = free_cells(plan, like.robot.radius)
     area = len(indoor(plan, cells)) * cells.cell**2
@@ -193,18 +193,18 @@ GENERIC = SlamSpec(
     max_chance_probability=0.05,
     start_features_from_rejected=True,
 )
-"""Of a log that nobody has chosen settings for; the reach is taken from its scans. With a limited view, a robot that
-comes back sees one old feature first, or one beside it that nobody has mapped."""
+"""Settings for logs of other kinds; the reach is taken from the scans. With a limited field of view, a returning robot
+first sees a single old feature, or an unmapped one beside it."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
-"""A trunk is seen in five of twenty scans. With two sightings, the map of the first half has 118 features more, 23 of
-which are labelled trees; the trajectory is the same."""
+"""A trunk must be seen in five of twenty scans. With two sightings, the map of the first half has 118 more features, of
+which 23 are labelled trees; the trajectory is the same."""
 
 MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-9)
-"""A robot may not see a barcode again for minutes, and has drifted by then."""
+"""Features are never removed, and the gate is wide: a robot may see a barcode again only after minutes of drift."""
 
 SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
-"""By the first part of a recording's name."""
+"""Settings by the first part of a recording's name."""
 
 
 def slam_for(recording: Recording) -> SlamSpec:

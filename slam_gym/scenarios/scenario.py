@@ -1,4 +1,4 @@
-"""A scenario: a world to draw, a robot with its sensors and filter, a budget; and the seeds of its worlds."""
+"""A scenario: a generator of worlds, a robot with its sensors and filter, and a budget; and the seeds of its worlds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}
 
 @dataclass(frozen=True)
 class KidnappingSpec:
-    """Somebody carries the robot elsewhere; neither its wheels nor anything else tell it."""
+    """The robot is carried elsewhere, and neither its odometry nor any other measurement shows it."""
 
     at: float = 0.5  # fraction of the budget after which it happens
-    inside: bool = True  # to a place where it has been before; False: to one as far from all those as there is
-    distance: float = 5.0  # [m] from where it was, if there is such a place
+    inside: bool = True  # to a place where it has been; False: to the place farthest from all where it has been
+    distance: float = 5.0  # [m] least distance from its last place, if possible; for `inside`
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -32,21 +32,21 @@ class KidnappingSpec:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything that defines an episode but its seed."""
+    """Everything that defines an episode, except its seed."""
 
     name: str
     generator: Callable[[np.random.Generator], FloorPlan]
-    budget: int  # [ticks] an episode lasts
+    budget: int  # [ticks] length of an episode
     robot: RobotSpec = field(default_factory=RobotSpec)
     dynamics: DynamicsSpec = field(default_factory=DynamicsSpec)
     sensor: SensorSpec = field(default_factory=SensorSpec)
     beams: BeamSpec = field(default_factory=BeamSpec)
     odometry: OdometrySpec = field(default_factory=OdometrySpec)
     slam: SlamSpec = field(default_factory=lambda: SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6))
-    associator: str = "jcbb"  # who associates unless another is asked for
-    prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
-    grid_resolution: float = 0.2  # [m] of the explored grid
-    wall_compass: bool = False  # straight walls in view correct what the wheels report
+    associator: str = "jcbb"  # default associator
+    prior_sigma: float = 0.5  # [m] σ₀: the error of a feature that has not been mapped
+    grid_resolution: float = 0.2  # [m] side of a cell of the explored grid
+    wall_compass: bool = False  # whether straight walls in view correct odometry
     kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:
@@ -56,7 +56,7 @@ class Scenario:
 
 
 def world_seed(split: str, index: int) -> int:
-    """Seed of the `index`-th world of a split. Raises ValueError for an unknown split or an index outside it."""
+    """The seed of world `index` of a split. Raises ValueError for an unknown split or an index outside it."""
     one_of("split", split, SPLITS)
     first, count = SPLITS[split]
     whole = isinstance(index, int | np.integer) and not isinstance(index, bool)
@@ -66,5 +66,5 @@ def world_seed(split: str, index: int) -> int:
 
 
 def world_generator(split: str, index: int) -> np.random.Generator:
-    """What the plan of a world is drawn from; never the stream of `reset(seed=…)`. Raises as `world_seed`."""
+    """The random generator for the plan of a world, independent of `reset(seed=…)`. Raises as `world_seed`."""
     return np.random.default_rng((world_seed(split, index), 1))

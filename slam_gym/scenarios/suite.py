@@ -1,9 +1,9 @@
-"""The association suite: one question, one sweep and one number in [0, 1] per capability, in the manner of bsuite.
+"""The association suite: one question, one sweep and one score in [0, 1] per capability, in the manner of bsuite.
 
-An experiment is a sweep over one knob. Each of its levels is a frozen setting with an id such as `closure/3`, to be
-had from `get_level`; its `scenario` can be driven like any other, and goes by that id in `get_scenario`. What is done
-with a level is up to `agents.suite`: maps are built by SLAM with true associations, and then every associator is asked
-about the same scans.
+An experiment is a sweep over one parameter, its knob. Each of its levels is a frozen setting with an id such as
+`closure/3`, which `get_level` returns; its `scenario` can be driven like any other, and has that id in `get_scenario`.
+`agents.suite` evaluates the levels: it builds maps by SLAM with true associations, and then all associators associate
+the same scans.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from slam_gym.world.sensor import OdometrySpec, SensorSpec
 
 @dataclass(frozen=True)
 class Level:
-    """A frozen setting: the world and its sensor, and what the robot knows of its pose when it looks."""
+    """A frozen setting: the world and its sensor, and the uncertainty of the pose at the time of the scan."""
 
     experiment: str
     number: int
-    knob: float  # where the level lies on the experiment's axis
+    knob: float  # value of the level on the experiment's axis
     scenario: Scenario
-    blind: tuple[float, float]  # [m], [rad] σ of position and heading after driving on without a look
+    blind: tuple[float, float]  # [m], [rad] σ of position and heading after driving without a scan
 
     @property
     def id(self) -> str:
-        """`experiment/number`, as `get_level` takes it."""
+        """`experiment/number`, the argument of `get_level`."""
         return f"{self.experiment}/{self.number}"
 
     @property
     def spacing(self) -> float:
-        """[m] between the places from which the map is made."""
+        """[m] between the places from which the map is built."""
         return min(1.5, self.scenario.sensor.range / 4.0)
 
 
@@ -51,19 +51,19 @@ _FAIR = (0.08, math.radians(1.0))
 
 @dataclass(frozen=True)
 class Experiment:
-    """A capability, the knob that strains it, and its levels from easy to hard."""
+    """A capability, the knob that tests it, and its levels from easy to hard."""
 
     name: str
     question: str
-    why: str  # what turning the knob does to an association problem
-    axis: str  # what the knob is, with its unit
+    why: str  # how the knob changes an association problem
+    axis: str  # name of the knob, with its unit
     knobs: tuple[float, ...]
-    scenario: Callable[[float], Scenario]  # by the knob
-    blind: Callable[[float], tuple[float, float]] = lambda knob: _FAIR  # as `Level` has it, by the knob
+    scenario: Callable[[float], Scenario]  # for a knob
+    blind: Callable[[float], tuple[float, float]] = lambda knob: _FAIR  # `Level.blind` for a knob
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
-        """From the first knob to the last."""
+        """The levels, from the first knob to the last."""
         return tuple(
             Level(self.name, number, knob, replace(self.scenario(knob), name=f"{self.name}/{number}"), self.blind(knob))
             for number, knob in enumerate(self.knobs)
@@ -72,7 +72,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class PostsGenerator:
-    """A bare square room with a hundred posts anywhere in it, so thin that they hide nothing."""
+    """An empty square room with a hundred posts at random, so thin that they hide nothing."""
 
     density: float  # [1/m²]
 
@@ -93,7 +93,7 @@ _OFFICE = Scenario(
     OfficeGenerator(rooms=6, contents=Contents(pilasters=0.15)),
     budget=600,
     sensor=_SENSOR,
-    odometry=_ODOMETRY,  # so good that what the robot knows of its pose is decided by `Level.blind`
+    odometry=_ODOMETRY,  # so good that `Level.blind` determines the uncertainty of the pose
 )
 
 
@@ -125,28 +125,28 @@ EXPERIMENTS: dict[str, Experiment] = {
             "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; "
             "but all errors share one cause, the pose, and so the innovations of a right hypothesis agree with each "
             "other.",
-            "σ of position before the look [m]; heading 12° per metre",
+            "σ of position before the scan [m]; heading 12° per metre",
             (0.02, 0.1, 0.3, 0.6, 1.0),
             lambda sigma: _OFFICE,
             lambda sigma: (sigma, math.radians(12.0 * sigma)),
         ),
         Experiment(
             "drift",
-            "How far may one tick turn the robot away from where it believes to look?",
-            "At six metres a degree is ten centimetres. All measurements are turned together, further than the "
-            "linearised gates of each foresee: 3°, 5° and 8° are what the wheels of `drift-1` to `drift-3` lose in a "
-            "tick's turn.",
-            "σ of heading before the look [°]; position 0.1 m",
+            "How large may the error of the heading after one tick be?",
+            "At six metres, one degree is ten centimetres. All measurements are turned together, further than the "
+            "linearised gates of each allow for: 3°, 5° and 8° are the errors of the odometry of `drift-1` to "
+            "`drift-3` in the turn of one tick.",
+            "σ of heading before the scan [°]; position 0.1 m",
             (1.0, 3.0, 5.0, 8.0, 12.0),
             lambda sigma: _with_sensor(detection=0.9, clutter=1.0),
             lambda sigma: (0.1, math.radians(sigma)),
         ),
         Experiment(
             "aliasing",
-            "Are identical rooms told apart, when the pose does not quite say which one it is?",
-            "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right "
-            "one and is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, "
-            "speak against it.",
+            "Are identical rooms distinguished when the pose does not quite determine the room?",
+            "Rooms repeat at the pitch. A hypothesis that is off by one room pairs as many measurements as the right "
+            "one and is consistent in itself: only the prior on the pose, and the features at the ends of the "
+            "corridor, contradict it.",
             "pitch of identical rooms [m]; σ of position 0.8 m",
             (6.0, 4.5, 3.5, 2.8, 2.2),
             _rooms_at_pitch,
@@ -154,27 +154,27 @@ EXPERIMENTS: dict[str, Experiment] = {
         ),
         Experiment(
             "clutter",
-            "How much that is not there may the detector report?",
-            "Spurious measurements fall among the gates. An associator that pairs whatever is compatible pairs them "
-            "too.",
-            "spurious measurements a scan",
+            "How many spurious measurements may the detector report?",
+            "Spurious measurements fall into the gates of features. An associator that pairs whatever is compatible "
+            "pairs them too.",
+            "spurious measurements per scan",
             (0.0, 3.0, 6.0, 12.0, 24.0),
             lambda clutter: _with_sensor(clutter=clutter),
         ),
         Experiment(
             "detection",
-            "How much of what is there may the detector miss?",
-            "Fewer measurements of one scan support each other, while the features that were missed still offer "
-            "themselves to those that are there, spurious ones among them.",
-            "probability of detection; 3 spurious measurements a scan",
+            "How many features may the detector miss?",
+            "Fewer measurements of one scan support each other, while the features that were missed are still "
+            "candidates for other measurements, spurious ones included.",
+            "probability of detection; 3 spurious measurements per scan",
             (1.0, 0.85, 0.7, 0.5, 0.35),
             lambda detection: _with_sensor(clutter=3.0, detection=detection),
         ),
         Experiment(
             "density",
-            "How close together may features stand?",
-            "Posts at random in a bare room, ever closer, and a sensor that reaches a dozen of them: what the pose "
-            "and the sensor are off by stays the same, and more and more neighbours fall into one gate.",
+            "How close together may features be?",
+            "Posts are at random in an empty room, closer at each level, and the sensor reaches a dozen of them: the "
+            "errors of pose and sensor stay the same, while more and more neighbours fall into one gate.",
             "features per m²",
             (0.3, 1.0, 3.0, 8.0, 16.0),
             _posts,
@@ -183,7 +183,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Experiment(
             "dynamics",
             "How many people may walk about?",
-            "People hide features and are taken for some, in other places each time.",
+            "People hide features and are mistaken for features, at other places each time.",
             "people in the building",
             (0.0, 6.0, 12.0, 24.0, 40.0),
             _crowded,
@@ -192,9 +192,9 @@ EXPERIMENTS: dict[str, Experiment] = {
             "kidnapped",
             "Does a search without any prior find the robot in its map, and does it notice when it is in another "
             "building?",
-            "Without a pose only what features are to each other can be compared. Spurious measurements thin out what "
-            "a scan says, and let a hypothesis arise by chance.",
-            "spurious measurements a scan",
+            "Without a pose only relations between features can be compared. Spurious measurements reduce the fraction "
+            "of informative ones, and make accidental hypotheses more likely.",
+            "spurious measurements per scan",
             (0.0, 2.0, 4.0, 8.0, 16.0),
             lambda clutter: _with_sensor(clutter=clutter),
             lambda clutter: (0.0, 0.0),
@@ -202,11 +202,11 @@ EXPERIMENTS: dict[str, Experiment] = {
     )
 }
 RELOCATION = "kidnapped"
-"""The experiment that asks relocators; all others ask associators."""
+"""The experiment for relocators; all others are for associators."""
 
 
 def get_level(id: str) -> Level:
-    """The frozen setting behind an id such as `closure/3`. Raises ValueError that lists what there is."""
+    """The frozen setting with an id such as `closure/3`. Raises ValueError, listing the known ids, for another."""
     name, slash, number = id.partition("/")
     one_of("experiment", name, EXPERIMENTS)
     levels = EXPERIMENTS[name].levels
