@@ -1,6 +1,6 @@
-"""Where the scans of `Associate-v0` come from: a robot that a baseline drives through a scenario, or a log.
+"""The sources of scans for `Associate-v0`: a robot that a baseline drives through a scenario, or a log.
 
-A run stops after every look, before its scan is associated, and goes on with the hypothesis that it is handed.
+A run stops after every scan, before it is associated, and continues with the hypothesis that it is given.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from slam_gym.types import Array, Hypothesis, Odometry, Scan, Truth
 from slam_gym.world import corridor
 
 Driver = Callable[[Goals, np.random.Generator], int]
-"""Chooses among the legal goals: a slot."""
+"""Chooses the slot of one of the legal goals."""
 
 
 def nearest_frontier(goals: Goals, rng: np.random.Generator) -> int:
-    """The nearest frontier (Yamauchi, CIRA 1997); once there is none, a revisit at random, so that loops close."""
+    """The nearest frontier (Yamauchi, CIRA 1997); if there is none, a random revisit, so that loops are closed."""
     frontiers = np.flatnonzero(goals.legal[1 : 1 + FRONTIERS])
     if len(frontiers):
         return 1 + int(frontiers[0])
@@ -36,7 +36,7 @@ def nearest_frontier(goals: Goals, rng: np.random.Generator) -> int:
 
 
 def random_goal(goals: Goals, rng: np.random.Generator) -> int:
-    """Any of the legal goals."""
+    """One of the legal goals at random."""
     return int(rng.choice(np.flatnonzero(goals.legal)))
 
 
@@ -44,29 +44,29 @@ DRIVERS: dict[str, Driver] = {"nearest_frontier": nearest_frontier, "random": ra
 
 
 class DrivenRun(Episode):
-    """A robot explores a scenario, one goal of `driver` after the other, and somebody else associates."""
+    """A robot that explores a scenario, goal by goal of a driver, with hypotheses that come from outside."""
 
-    prediction: Prediction  # what the map expects of the scan
+    prediction: Prediction  # of the current scan
 
     def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
-        self._choices = np.random.default_rng(rng.integers(2**63))  # what is driven does not depend on the noise
-        # the first look meets an empty map, so there is nothing to associate
+        self._choices = np.random.default_rng(rng.integers(2**63))  # choices do not depend on the noise
+        # the map is empty at the first scan, so there is nothing to associate
         super().__init__(scenario, site, "nearest_neighbour", rng)
         self._driver, self._passed = driver, Places()
         self._commands: Iterator[Command] = iter(())
 
     @property
     def scans(self) -> int:
-        """Number of scans so far, the first from where the robot starts."""
+        """Number of scans so far, including the first one at the start."""
         return self.ticks + 1
 
     @property
     def length(self) -> int:
-        """Number of scans in all."""
+        """Total number of scans."""
         return self.scenario.budget + 1
 
     def next_scan(self) -> None:
-        """Drive on for a tick, towards a new goal where the last one is done with."""
+        """Drive for one tick, towards a new goal if the last one has ended, and take a scan."""
         command = next(self._commands, None)
         while command is None:
             goals = propose(self.scenario, self.slam.map, self.grid, self._passed, self.tried)
@@ -76,21 +76,21 @@ class DrivenRun(Episode):
         self.prediction = self.begin_tick(*command)
 
     def associate(self, hypothesis: Hypothesis) -> None:
-        """Update the map by a hypothesis on the scan."""
+        """Complete the SLAM step with the `hypothesis` on the current scan."""
         self.end_tick(self.prediction, hypothesis)
         self._passed.pass_by(self.estimates[-1][:2])
 
 
 @dataclass(frozen=True)
 class ScanLog:
-    """Looks that do not depend on what is made of them: a recording, or a simulator that drives itself."""
+    """Scans that do not depend on their association: a recording, or a simulation with a fixed path."""
 
     name: str
     scans: Callable[[np.random.Generator], Iterator[tuple[Odometry, Scan, Truth]]]
-    length: int  # scans in all
+    length: int  # total number of scans
     slam: SlamSpec
-    targets: Array  # (N, 2) [m] true features, in the frame of the true poses; none where nobody knows them
-    prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
+    targets: Array  # (N, 2) [m] true features, in the frame of the true poses; none where they are unknown
+    prior_sigma: float = 0.5  # [m] σ₀: the error of a feature that has not been mapped
 
     def __post_init__(self) -> None:
         if self.length < 1:
@@ -98,9 +98,9 @@ class ScanLog:
 
 
 class LoggedRun:
-    """SLAM on a log, whose scans somebody else associates."""
+    """SLAM on a log, with hypotheses that come from outside."""
 
-    prediction: Prediction  # what the map expects of the scan
+    prediction: Prediction  # of the current scan
 
     def __init__(self, log: ScanLog, rng: np.random.Generator) -> None:
         self.log = log
@@ -109,26 +109,26 @@ class LoggedRun:
         self.identities = self._judged.identities
         self._scans = log.scans(rng)
         self.scans, self.length = 0, log.length
-        self.poses: list[Array] = []  # true, (3,) in the frame of the log
+        self.poses: list[Array] = []  # (3,) true poses, in the frame of the log
         self.estimates: list[Array] = []  # (3,) in B
         self._error = 1.0
 
     @property
     def over(self) -> bool:
-        """The last scan is associated."""
+        """Whether the last scan has been associated."""
         return len(self.estimates) == self.length
 
     def next_scan(self) -> None:
-        """On to the next scan. Raises ValueError where the log is shorter than it says."""
-        found = next(self._scans, None)
-        if found is None:
+        """Read the next scan. Raises ValueError if the log is shorter than its `length`."""
+        entry = next(self._scans, None)
+        if entry is None:
             raise ValueError(f"log {self.log.name!r}: ends after {self.scans} scans, not {self.length}")
-        odometry, self.scan, self.truth = found
+        odometry, self.scan, self.truth = entry
         self.prediction = self.slam.predict(odometry, self.scan)
         self.scans += 1
 
     def associate(self, hypothesis: Hypothesis) -> None:
-        """Update the map by a hypothesis on the scan."""
+        """Complete the SLAM step with the `hypothesis` on the current scan."""
         self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
@@ -142,12 +142,12 @@ class LoggedRun:
         return observe(start, self.log.targets)
 
     def map_error(self) -> float:
-        """As `metrics.map_quality.map_error`; 1, that of an empty map, where nobody knows the true features."""
+        """As `metrics.map_quality.map_error`; 1, as for an empty map, where the true features are unknown."""
         return self._error
 
 
 AssociationRun = DrivenRun | LoggedRun
-"""SLAM whose hypotheses come from outside: `next_scan`, then `associate`, and again, until it is `over`."""
+"""SLAM with hypotheses from outside: call `next_scan` and `associate` in turn, until it is `over`."""
 
 CORRIDOR = ScanLog(
     "corridor",
@@ -156,6 +156,6 @@ CORRIDOR = ScanLog(
     SlamSpec(reach=corridor.RANGE),
     corridor.features(),
 )
-"""The reference corridor, whose noise alone differs from seed to seed."""
+"""The reference corridor; only its noise depends on the seed."""
 
 LOGS: dict[str, ScanLog] = {CORRIDOR.name: CORRIDOR}

@@ -1,4 +1,4 @@
-"""One episode behind every environment: the true world, the robot's estimate of it, and the tick that moves both on.
+"""The episode behind every environment: the true world, the robot's estimate of it, and the tick that advances both.
 
 Truth and estimate meet here and nowhere else: the estimate side receives `Odometry`, `Scan` and `Beams`, and works in
 B, the frame of the robot's first pose.
@@ -41,16 +41,16 @@ _AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A floor plan with what follows from it: the wall index, where the robot can get to, what it can see there."""
+    """A floor plan with its wall index, the cells that the robot can reach, and the features that it can see there."""
 
     plan: FloorPlan
     index: WallIndex
     cells: Array  # (c, 2) [m] centres of the reachable cells, in W
-    observable: BoolArray  # (N,) features that can be seen from one of them
+    observable: BoolArray  # (N,) whether each feature can be seen from one of these cells
 
 
 def survey(plan: FloorPlan, scenario: Scenario) -> Site:
-    """Find out where the robot can get to and what it can map. Raises ValueError where that is nowhere or nothing."""
+    """Compute the reachable cells and observable features of a plan. Raises ValueError if there are none of either."""
     index = WallIndex(plan.walls)
     cells = reachable(plan, scenario.robot.radius)
     if len(cells) == 0:
@@ -65,11 +65,11 @@ def survey(plan: FloorPlan, scenario: Scenario) -> Site:
 
 
 class Episode:
-    """The state of one episode, moved on by `tick`.
+    """The state of one episode, which `tick` advances.
 
-    `associator` is a name, `"module:function"` or a callable. `virtual` asks for the virtual map, which only the
-    uncertainty rewards need. Without `relocate`, a robot that was carried away never finds back; with `atlas` besides,
-    loops are closed and a lost robot starts another map.
+    `associator` is a name, `"module:function"` or a callable. `virtual` maintains the virtual map, which only the
+    uncertainty rewards need. Without `relocate`, a kidnapped robot is never relocated; with `atlas` in addition, loops
+    are closed and a lost robot starts another map.
     """
 
     def __init__(
@@ -91,44 +91,44 @@ class Episode:
         spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
-        self._cells = self.grid.cells  # go on with the grid
+        self._cells = self.grid.cells  # a view, which changes with the grid
         sensor = scenario.sensor
         field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         self.slam = Slam(spec, ViewsFrom(field, self.grid.explored), relocate=relocate, atlas=atlas)
-        # the truth tells new features as well: gates that are wide would starve it, and others would do better
+        # true associations include new features: with a wide gate it would map fewer features than other associators
         self._judged = JudgedSlam(self.slam, associator, informed=True)
         self.identities = self._judged.identities
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
         self._keyframes = Keyframes(self.grid)
         self._compass = WallCompass(scenario.beams.sigma) if scenario.wall_compass else None
-        # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
+        # over the bounds of the plan, so in W: its criteria do not depend on the start of the robot
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
-        self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
+        self.targets = site.plan.features.positions[site.observable]  # (N, 2) [m] observable true features, in W
         in_base, grid = observe(self.base, site.cells), self.grid
         self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
         self._indexed = indexed(self.targets, 2.0 * scenario.prior_sigma)
-        self.poses: list[Array] = []  # true, in W, one per tick
-        self.estimates: list[Array] = []  # in B
-        self.nees: list[float] = []  # of the pose; NaN in a second map, whose place in B nobody claims to know
-        self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
-        self.tried = Tried()  # frontiers that were driven to and are frontiers still
-        self.ticks = -1  # the first look, from where the robot stands, is no tick
-        self._appraised, self._appraised_at = (1.0, 0.0), -1  # map error and coverage, and the tick that they are of
+        self.poses: list[Array] = []  # (3,) true poses in W, one per tick
+        self.estimates: list[Array] = []  # (3,) estimated poses in B, one per tick
+        self.nees: list[float] = []  # of the pose; NaN in a second map, whose pose in B is not estimated
+        self.path = np.empty((0, 2))  # (p, 2) in B, the path that the driver follows now
+        self.tried = Tried()  # frontiers that were driven to and are still frontiers
+        self.ticks = -1  # the first scan, at the start, does not count as a tick
+        self._appraised, self._appraised_at = (1.0, 0.0), -1  # map error and coverage, and their tick
         self._sense(_AT_REST)
         self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
     def tick(self, forward: float, turn: float) -> None:
-        """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and take a SLAM step."""
+        """Drive for one tick with fractions in [−1, 1] of the maximal speeds, take a scan, and run a SLAM step."""
         self._drive(forward, turn)
         self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
     def begin_tick(self, forward: float, turn: float) -> Prediction:
-        """First half of a tick for those who associate from outside: drive, look, and predict what the scan shows."""
+        """The first half of a tick with an outside associator: drive, take a scan, and predict it."""
         self._drive(forward, turn)
         return self.slam.predict(self.odometry, self.scan)
 
     def end_tick(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
-        """Second half: the rest of the SLAM step, with their `hypothesis` on the scan."""
+        """The second half: complete the SLAM step with the outside `hypothesis` on the scan."""
         self._take_in(self._judged.learn(self.scan, prediction, hypothesis, self.truth))
 
     def _drive(self, forward: float, turn: float) -> None:
@@ -147,14 +147,14 @@ class Episode:
             self.odometry = self._compass.corrected(self.odometry, self.beams)
 
     def _take_in(self, step: SlamStep) -> None:
-        """What follows a SLAM step: explored space, and the judgement of it all."""
+        """Update the explored grid and the judgement after a SLAM step."""
         self.last_step = step
-        if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
+        if not self.slam.doubted:  # a wrong pose would draw walls where there are none
             self._explore(step.ids)
         self._log(self.truth.pose)
 
     def _explore(self, seen: IntArray) -> None:
-        """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""
+        """Enter the beams at the estimated pose; redraw what has moved. `seen` (m,) are the ids of features seen."""
         slam_map, beams = self.slam.map, self.beams
         pose = slam_map.pose
         self._keyframes.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
@@ -164,7 +164,7 @@ class Episode:
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
     def _log(self, true_pose: Array) -> None:
-        """Note the estimate of the pose, and what it is off by."""
+        """Record the estimated pose and its error."""
         slam, estimate = self.slam, self.slam.map.pose
         nees = error_of_pose(*slam.map.arrays[:2], self.base, true_pose)
         self.estimates.append(estimate)
@@ -177,12 +177,12 @@ class Episode:
 
     @property
     def over(self) -> bool:
-        """The budget is spent."""
+        """Whether the budget is spent."""
         return self.ticks >= self.scenario.budget
 
     @property
     def landmarks(self) -> Array:
-        """(e, 2) [m] confirmed features of the map, in W; those of maps that are not joined with it come after."""
+        """(e, 2) [m] confirmed features of the active map in W, then those of inactive maps."""
         maps = self.slam.maps
         in_base = maps[0].confirmed if len(maps) == 1 else np.concatenate([m.confirmed for m in maps])
         return transform(self.base, in_base)
@@ -192,11 +192,11 @@ class Episode:
         return self._appraise()[0]
 
     def coverage(self) -> float:
-        """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
+        """Fraction of the reachable cells whose true position is known (free or wall) in the explored grid."""
         return self._appraise()[1]
 
     def _appraise(self) -> tuple[float, float]:
-        """Map error and coverage, once a tick: rewards and info both ask for them."""
+        """Map error and coverage, computed once per tick, since both rewards and info use them."""
         if self._appraised_at != self.ticks:
             (m, *others), seen = self.slam.maps, (self._indexed, self._cells, self._places)
             if others:
@@ -210,7 +210,7 @@ class Episode:
 
 
 def turned(base: Array, covariance: Array) -> Array:
-    """Covariance (3, 3) of a pose given in B, turned into W."""
+    """The covariance (3, 3) in W of a pose with `covariance` in B, whose pose in W is `base`."""
     turn = np.eye(3)
     c, s = math.cos(base[2]), math.sin(base[2])
     turn[:2, :2] = [[c, -s], [s, c]]
@@ -219,7 +219,7 @@ def turned(base: Array, covariance: Array) -> Array:
 
 
 def _bounds_in_base(bounds: Array, base: Array) -> Array:
-    """Bounds (4,) in B of the rectangle `bounds` (4,) in W, with a margin."""
+    """Bounds (4,) in B that contain the rectangle `bounds` (4,) in W, with a margin."""
     x0, y0, x1, y1 = bounds
     corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
     return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

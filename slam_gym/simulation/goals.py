@@ -1,4 +1,4 @@
-"""The candidate goals of `Explore-v0`: look around, go to a frontier, or revisit a place. Estimate side only."""
+"""The candidate goals of `Explore-v0`: look around, go to a frontier, or revisit a place. They use no truth."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from slam_gym.types import Array, BoolArray, IntArray
 
 LOOK = 0  # the slot that looks around, always legal
 FRONTIERS = 10  # slots 1 … 10: the nearest frontiers
-REVISITS = 5  # slots 11 … 15: known places that promise to improve the map
+REVISITS = 5  # slots 11 … 15: known places from which the map is expected to improve
 SLOTS = 1 + FRONTIERS + REVISITS
 
-CLEARANCE = 0.05  # [m] beyond the robot's radius that paths keep from walls
-SQUEEZE = 0.6  # of the robot's radius that they keep where there is no other way: walls are drawn too thick
-_LARGEST = 4  # of the frontiers on offer, those that promise most on the way there; the others are the nearest
-_SHORT = 10.0  # [m] that are added to the length of that way
-_SAME = 1.0  # [m] within which places are one and the same
-_TRIES = 2  # after which a frontier is offered only when no other is left
-PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
-_PLACES = 32  # at most so many are weighed at a decision
-_REVISIT_SPACING = 3.0  # [m] between the revisits on offer
-_LOOKOUT = 2.0  # [m] of a way between looks at what is in view
-_LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
-ENOUGH = 2  # features in view that hold position and heading
-WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
+CLEARANCE = 0.05  # [m] that paths keep from walls, in addition to the robot's radius
+SQUEEZE = 0.6  # fraction of the robot's radius that paths keep if there is no other way: walls are drawn too thick
+_LARGEST = 4  # frontiers offered for their large unknown area per path length; the others are the nearest
+_SHORT = 10.0  # [m] added to that path length
+_SAME = 1.0  # [m] within which places count as the same
+_TRIES = 2  # attempts after which a frontier is offered only when no other is left
+PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's path
+_PLACES = 32  # greatest number of places considered at a decision
+_REVISIT_SPACING = 3.0  # [m] between the revisits offered
+_LOOKOUT = 2.0  # [m] along a path between predictions of what is in view
+_LOOKS = 5  # number of independent scans that a stay counts for, a rule of thumb
+ENOUGH = 2  # features in view that determine position and heading
+WORTH_SEEING = 0.5  # [m²] a frontier with less unknown area in view is not offered, or out of date
 
 
 @dataclass(frozen=True)
 class Goals:
-    """What the agent may choose from, one row per slot; rows that are not legal are zero."""
+    """The goals that the agent may choose from, one row per slot; rows that are not legal are zero."""
 
     positions: Array  # (SLOTS, 2) [m] in B
     lengths: Array  # (SLOTS,) [m] of the path there
     areas: Array  # (SLOTS,) [m²] unknown area in view from there
     reductions: Array  # (SLOTS,) [m²] expected decrease of Σ tr P over the mapped features
     legal: BoolArray  # (SLOTS,)
-    in_view: Array = field(default_factory=lambda: np.zeros(SLOTS))  # (SLOTS,) features expected in view on the way
-    ways: DistanceField | None = None  # to all places from here, at the clearance that paths keep
+    in_view: Array = field(default_factory=lambda: np.zeros(SLOTS))  # (SLOTS,) features expected in view on the path
+    ways: DistanceField | None = None  # paths from here to all places, at the first of `clearances`
 
 
 class Places:
-    """Where the robot has been, thinned out: the candidates for revisits."""
+    """Places where the robot has been, `PLACE_SPACING` apart: the candidates for revisits."""
 
     def __init__(self) -> None:
-        self._points: list[tuple[float, float]] = []  # plain numbers, since they are looked at in every tick
+        self._points: list[tuple[float, float]] = []  # no arrays, since every tick compares them
 
     def pass_by(self, position: Array) -> None:
-        """Remember `position` (2,) in B unless a remembered place is near."""
+        """Remember `position` (2,) in B, unless it is near a remembered place."""
         x, y = position.tolist()
         for other_x, other_y in reversed(self._points):
             if abs(other_x - x) < PLACE_SPACING and abs(other_y - y) < PLACE_SPACING:
@@ -65,7 +65,7 @@ class Places:
         self._points.append((x, y))
 
     def candidates(self) -> Array:
-        """(q, 2) evenly chosen among all remembered places."""
+        """(q, 2) places, chosen evenly among all that are remembered."""
         if not self._points:
             return np.empty((0, 2))
         chosen = np.unique(np.linspace(0, len(self._points) - 1, _PLACES).astype(np.int64))
@@ -73,14 +73,14 @@ class Places:
 
 
 class Tried:
-    """Where something has been tried, and how often."""
+    """Counts how often each place has been tried."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []
         self._times: list[int] = []
 
     def add(self, position: Array) -> None:
-        """Once more at `position` (2,) in B, or at the first place that was nearly the same."""
+        """Count `position` (2,) in B, or the first counted place within `_SAME` of it, once more."""
         for i, point in enumerate(self._points):
             if math.dist(point, position) < _SAME:
                 self._times[i] += 1
@@ -89,7 +89,7 @@ class Tried:
         self._times.append(1)
 
     def times(self, positions: Array) -> IntArray:
-        """(q,) how often at each of `positions` (q, 2), or nearly there."""
+        """(q,) how often each of `positions` (q, 2), or a place within `_SAME` of it, has been tried."""
         if not self._points:
             return np.zeros(len(positions), np.int64)
         points, times = np.array(self._points), np.array(self._times)
@@ -99,14 +99,14 @@ class Tried:
 
 
 def clearances(radius: float) -> tuple[float, float]:
-    """[m] that paths of a robot of some radius keep from walls, and what they keep where there is no other way."""
+    """[m] clearances of paths of a robot of `radius` [m] from walls: the usual one, and that of narrow passages."""
     return radius + CLEARANCE, SQUEEZE * radius
 
 
 def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, places: Places, tried: Tried) -> Goals:
-    """The goals from where the robot believes to be, over what it believes to have explored.
+    """The goals at the estimated pose of the robot, over the explored grid.
 
-    Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one
+    Frontiers that have been `tried` twice, but were not reached or are still frontiers, are offered only when no other
     is left.
     """
     here, ways = slam_map.pose[:2], None
@@ -143,22 +143,22 @@ def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, pla
 
 
 def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) -> Array:
-    """Frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2).
+    """(≤ FRONTIERS, 2) reachable frontiers with enough unknown area in view, nearest first.
 
-    Where there are more, the offer is of the nearest and of those that promise most for the way there, so that a wing
-    of the building is not forgotten over the corners of all the rooms on this side.
+    If there are more, the nearest are offered, and those with the largest area per path length, so that a wing of the
+    building is not neglected in favour of the corners of all rooms nearby.
     """
     centres = frontiers(grid, field.reachable)
     if len(centres) == 0:
         return centres
     areas = grid.expected_area(centres, reach)
     lengths = field.lengths_to(centres)
-    worth = (areas >= WORTH_SEEING) & np.isfinite(lengths)
-    centres, areas, lengths, times = centres[worth], areas[worth], lengths[worth], tried.times(centres[worth])
+    useful = (areas >= WORTH_SEEING) & np.isfinite(lengths)
+    centres, areas, lengths, times = centres[useful], areas[useful], lengths[useful], tried.times(centres[useful])
     if len(centres) == 0:
         return centres
-    left = np.flatnonzero(times < max(_TRIES, int(times.min()) + 1))
-    nearest = left[np.argsort(lengths[left], kind="stable")]
+    offered = np.flatnonzero(times < max(_TRIES, int(times.min()) + 1))
+    nearest = offered[np.argsort(lengths[offered], kind="stable")]
     if len(nearest) > FRONTIERS:
         far = nearest[FRONTIERS - _LARGEST :]
         largest = far[np.argsort(-areas[far] / (lengths[far] + _SHORT), kind="stable")[:_LARGEST]]
@@ -171,22 +171,26 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
 def _views(
     scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, reached: DistanceField, spots: Array
 ) -> tuple[Array, Array]:
-    """Of the ways to `spots` (q, 2), the first of which is where the robot is, with a look every `_LOOKOUT` metres:
-    the fraction with fewer than `ENOUGH` features in view (q,), and how many are in view on average (q,)."""
+    """The features in view on the paths to `spots` (q, 2), the first of which is the position of the robot.
+
+    Returns the fraction of each path with fewer than `ENOUGH` features in view (q,), and the mean number of features in
+    view (q,), from predictions every `_LOOKOUT` metres.
+    """
     points, counts = reached.along_each(spots[1:], _LOOKOUT)
     counts = np.append(1, counts)
     looks = np.concatenate([spots[:1], points])
     seen = features_in_sight(slam_map.mean, grid, looks, scenario.sensor.range)
     starts = np.cumsum(counts) - counts
     blind = np.add.reduceat(seen < ENOUGH, starts, dtype=np.int64) / counts
-    turned_to = scenario.sensor.field_of_view / (2.0 * math.pi)
-    return blind, turned_to * np.add.reduceat(seen, starts) / counts
+    field_fraction = scenario.sensor.field_of_view / (2.0 * math.pi)
+    return blind, field_fraction * np.add.reduceat(seen, starts) / counts
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array, blind: Array) -> Array:
-    """Foreseen from each spot: the known map holds the drift down to that of a metre, but for the `blind` way (q,) [m].
+    """(q,) [m²] expected reduction of the map's variance by a stay at each spot.
 
-    Where fewer features are in view than hold a pose, what the wheels are off by adds up.
+    The known map limits the drift to that of one metre, plus that of the `blind` length (q,) [m] of the path, where too
+    few features are in view to determine the pose.
     """
     sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
     odometry = scenario.odometry
@@ -197,7 +201,7 @@ def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid,
 
 
 def _best_revisits(places: Array, reductions: Array, lengths: Array) -> NDArray[np.int64]:
-    """Indices of the places that promise most per metre, kept apart from each other and from here."""
+    """Indices of the places with the greatest reduction per metre, at a distance from each other and from the robot."""
     chosen: list[int] = []
     for i in np.argsort(-reductions / (lengths + 1.0), kind="stable"):
         near = any(np.hypot(*(places[i] - places[j])) < _REVISIT_SPACING for j in chosen)

@@ -1,4 +1,4 @@
-"""SLAM whose decisions are held against the truth, scan by scan: what every log, episode, suite and benchmark runs."""
+"""SLAM whose decisions are judged by the truth, scan by scan: used by all logs, episodes, the suite and benchmarks."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from slam_gym.slam.slam import Slam
 from slam_gym.types import Hypothesis, Odometry, Scan, Truth
 
 CEILING = "true_association"
-"""The associator that is handed the truth. It is known by this name alone: no callable ever gets to see the truth."""
+"""The associator that receives the truth. It must be given by this name: no callable ever receives the truth."""
 
 
 class JudgedSlam:
     """A SLAM run with the judgement of its associations.
 
     Arguments:
-        slam: what takes the steps.
-        associator: a name, `"module:function"` or a callable. `CEILING`, by name, is handed the truth of every scan.
-        informed: so is the map of `CEILING`: every labelled feature goes in when it is first seen, whatever it is
-            compatible with, and nothing else does.
+        slam: runs the steps.
+        associator: a name, `"module:function"` or a callable. `CEILING`, by name, receives the truth of every scan.
+        informed: `CEILING` also decides which measurements start features: each labelled feature when it is first
+            seen, whatever it is compatible with, and nothing else.
 
     Raises ValueError for an unknown associator.
     """
@@ -36,23 +36,23 @@ class JudgedSlam:
 
     @property
     def tally(self) -> Tally:
-        """The decisions so far."""
+        """The tally of the decisions so far."""
         return self.identities.total
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
-        """One SLAM step, judged. Raises as `Slam.step`."""
+        """Run one SLAM step and judge it. Raises as `Slam.step`."""
         prediction = self.slam.predict(odometry, scan)
         return self.learn(scan, prediction, self.associate(scan, prediction, truth), truth)
 
     def associate(self, scan: Scan, prediction: Prediction, truth: Truth) -> Hypothesis:
-        """What the associator says; `CEILING` is handed the truth."""
+        """The hypothesis of the associator. Only `CEILING` receives the truth."""
         if not self._knows_truth:
             return self._associate(scan, prediction)
         known = self.identities.source_of(self.slam.map.ids)
         return true_association(scan, prediction, sources=truth.sources, identities=known, new_features=self._informed)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, truth: Truth) -> SlamStep:
-        """What follows the answer, whoever gave it, judged. Raises as `Slam.learn`."""
+        """Complete the step with a hypothesis from any source, and judge it. Raises as `Slam.learn`."""
         step = self.slam.learn(scan, prediction, hypothesis)
         self.identities.judge(step, truth)
         return step

@@ -1,4 +1,4 @@
-"""Every measure of an episode at once: the map, the trajectory, the associations, the consistency of the filter."""
+"""All measures of an episode: the map, the trajectory, the associations, the consistency of the filter."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, local_error,
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 
-_CUTOFF = 1.0  # [m] of the GOSPA that is reported
+_CUTOFF = 1.0  # [m] of the reported GOSPA
 
 
 def quality(episode: Episode) -> dict[str, float]:
-    """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere, and those
-    of maps that a lost robot has left count as long as they are not joined with the current one.
+    """Compute all measures of the episode so far.
 
-    `map_error_aligned` is that of the map laid rigidly onto the truth: what is wrong with its shape.
-    `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
-    duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is by how much distances
-    between those of them that were seen together are wrong, on average. `ate` [m] is that of the positions, without
-    alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom, averaged
-    over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
+    Provisional features (seen too seldom to be confirmed) are not counted. Features of inactive maps are counted.
+
+    `map_error_aligned` is the error after rigid alignment with the truth, that of the shape of the map.
+    `landmark_rmse_…` [m] compare each mapped feature that a real feature created with that feature; duplicates count in
+    `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is the mean error of distances between such
+    features that were seen together. `ate` [m] is that of the positions, without alignment, since both start from one
+    known pose. `anees` is the pose NEES divided by its 3 degrees of freedom, averaged over the ticks. `recovered` is 1
+    if the pose was right again after a kidnapping; `ticks_astray` is the number of ticks until then.
     """
     nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
@@ -62,7 +63,7 @@ def quality(episode: Episode) -> dict[str, float]:
 
 
 def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
-    """Pairs (e, 2) of the `chosen` (k,) of all confirmed features, by position, that the current map saw together."""
+    """Pairs (e, 2) of rows of `chosen` (k,), indices of confirmed features, that the active map saw together."""
     confirmed = np.flatnonzero(~episode.slam.map.provisional)
     rows = np.full(episode.slam.map.n, -1)
     current = np.flatnonzero(chosen < len(confirmed))
@@ -73,7 +74,7 @@ def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
 
 
 def _ticks_astray(episode: Episode) -> float:
-    """From the kidnapping until the pose was right again, or until now."""
+    """Number of ticks from the kidnapping until the pose was right again, or until now."""
     kidnapping = episode.kidnapping
     if kidnapping.happened is None:
         return 0.0

@@ -3,13 +3,13 @@
     recording:victoria_park     recording:mrclam/3     recording:dlr     recording:FILE (.npz, .csv, .g2o, .txt)
     recording:victoria_park?every=5    recording:mine.npz?looks=200&every=2
 
-An episode is a window of `looks` steps (default 500, or all there are) with a random start, and maps it from scratch:
-what came before is unknown to the robot, and its first pose is the base of the map. Windows for training lie in the
-first 70 % of the log, those for testing in the rest. With `every` = k the robot looks at every k-th scan only and has
-its odometry compounded in between, which is how a log with a fast sensor becomes a test of association.
+An episode is a window of `looks` steps (default: 500, or the whole log if it is shorter) with a random start. The robot
+maps it from scratch: earlier steps are unknown, and its first pose is the base of the map. Windows for training lie in
+the first 70 % of the log, windows for testing in the rest. With `every` = k the robot uses every k-th scan only, and
+its odometry is compounded in between, which makes a log with a fast sensor a test of association.
 
-Published logs are looked up in the folder that `SLAM_GYM_DATA` names; of MR.CLAM, robot 1 … 5 of set 6, or of the first
-set there is.
+Published logs are read from the folder that `SLAM_GYM_DATA` names. For MR.CLAM, the logs are those of robot 1 … 5 of
+set 6, or of the first set in the folder.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from slam_gym.validation import one_of
 
 PREFIX = "recording:"
 LOOKS = 500
-_TRAINING = 0.7  # fraction of a log
+_TRAINING = 0.7  # fraction of a log used for training
 _SET = "/MRCLAM_Dataset6/"
 
 
 def recorded_log(scenario: str, split: str) -> ScanLog:
-    """The log behind the name of a scenario, "recording:…".
+    """The log for the name of a scenario, "recording:…".
 
-    Raises ValueError for a name or an option that there is none of; FileNotFoundError, which says where to get the data
-    and what to cite; RecordingError for files that are not what they should be.
+    Raises ValueError for an unknown name or option; FileNotFoundError, which says where to get the data and what to
+    cite; RecordingError for invalid files.
     """
     name, question, query = scenario.removeprefix(PREFIX).partition("?")
     options = _options(scenario, query) if question else {}
@@ -48,10 +48,11 @@ def recorded_log(scenario: str, split: str) -> ScanLog:
 
 
 def windows(recording: Recording, split: str, looks: int = LOOKS, every: int = 1) -> ScanLog:
-    """A log whose episodes are windows of a `split` of a recording, on every `every`-th step.
+    """A log whose episodes are windows of a `split` of a recording, with every `every`-th step.
 
-    See the module. Features have known places, which `reward="map_error"` asks for, if the recording has landmarks and
-    the pose of every step. Raises ValueError for an unknown split, numbers below 1, and recordings too short to split.
+    See the module's docstring. True positions of features, which `reward="map_error"` needs, are known if the recording
+    has landmarks and the pose of every step. Raises ValueError for an unknown split, numbers below 1, and recordings
+    too short to split.
     """
     one_of("split", split, SPLITS)
     if looks < 1:
@@ -67,7 +68,7 @@ def windows(recording: Recording, split: str, looks: int = LOOKS, every: int = 1
 
 
 def reference_poses(recording: Recording) -> Array:
-    """(T, 3) of the reference at the steps, between its neighbours in time; NaN where it does not tell."""
+    """(T, 3) reference poses interpolated at the times of the steps; NaN outside the times of the reference."""
     times, known = recording.times, recording.reference_times
     poses = np.full((len(times), 3), math.nan)
     if not len(known):
@@ -97,7 +98,7 @@ def _open(name: str) -> Recording:
 
 
 def _options(scenario: str, query: str) -> dict[str, int]:
-    """The options behind the question mark."""
+    """The options after the question mark in the name of a scenario."""
     try:
         options = {name: int(value) for name, value in parse_qsl(query, keep_blank_values=True, strict_parsing=True)}
     except ValueError:

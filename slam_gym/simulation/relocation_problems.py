@@ -1,4 +1,4 @@
-"""Kidnappings to relocate from: a map that a robot made by SLAM, and scans from inside and from outside of it."""
+"""Relocation problems: a map that a robot has made by SLAM, and scans from inside and from outside of it."""
 
 from __future__ import annotations
 
@@ -22,50 +22,50 @@ from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Landmarks, Local
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
-KNOWN = 5  # measurements of mapped features, at least, in a scan from inside
+KNOWN = 5  # least number of measurements of mapped features in a scan from inside
 _DRAWS = 100  # places tried for such a scan
 
 
 @dataclass(frozen=True, eq=False)
 class MappedWorld:
-    """A world, the map that SLAM made of it, and where the truth is: all that kidnappings in it are drawn from."""
+    """A world, the map that SLAM has made of it, and the truth: everything that `kidnap` draws problems from."""
 
     site: Site
     base: Array  # (3,) pose of B in W
     landmarks: Landmarks
     graph: CovisibilityGraph
     reach: float  # [m] of the sensor
-    identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS where it is none, or an older one has it
+    identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS: none, or the landmark is a duplicate
     trail: Array  # (t, 3) true poses of the robot that made the map, in W
-    people: Array  # (p, 3) [m] as they stood when the map was done
-    furniture: Array  # (o, 4) [m] likewise, as segments
+    people: Array  # (p, 3) [m] at the end of mapping
+    furniture: Array  # (o, 4) [m] segments, at the end of mapping
     sensor: Sensor
-    elsewhere: Site | None  # another world; None where the scenario has but one
+    elsewhere: Site | None  # another world; None if the scenario has only one
 
     def locality(self, kind: LocalityName | None) -> Locality | None:
-        """Which landmarks are local to which."""
+        """The locality of the landmarks of the given kind."""
         return locality_of(self.graph, self.landmarks.positions, self.reach, kind)
 
 
 @dataclass(frozen=True, eq=False)
 class Kidnapped:
-    """A scan from an unknown place, with the truth about it."""
+    """A scan from an unknown place, with its truth."""
 
     scan: Scan
-    inside: bool  # the place is in the map
-    true_pose: Array  # (3,) in W of the world that the scan is from
-    pose: Array  # (3,) in B of the map: where the true pose lies among the landmarks around it; NaN outside
-    features: IntArray  # (m,) landmark that each measurement is of; UNPAIRED for what is spurious or not in the map
+    inside: bool  # whether the place is in the map
+    true_pose: Array  # (3,) in W of the world of the scan
+    pose: Array  # (3,) in B of the map: the true pose, relative to the landmarks around it; NaN outside
+    features: IntArray  # (m,) landmark behind each measurement; UNPAIRED: spurious or not in the map
 
 
 def map_world(
     scenario: Scenario, split: str, world: int, associator: str | Associator, elsewhere: Scenario | None = None
 ) -> MappedWorld:
-    """Have a robot explore a world, to the nearest frontier or else to revisits, until the scenario's budget is spent.
+    """Let a robot explore a world, by nearest frontiers and then revisits, until the budget of the scenario is spent.
 
-    What is outside is the next world of `elsewhere` (default: of the scenario itself).
+    Scans from outside come from the next world of `elsewhere` (default: of the scenario itself).
 
-    A function of its arguments alone. Raises ValueError for a world outside the split, and as `survey` does.
+    The result depends on the arguments only. Raises ValueError for a world outside the split, and as `survey` does.
     """
     rng = np.random.default_rng((world_seed(split, world), 2))
     site = survey(scenario.generator(world_generator(split, world)), scenario)
@@ -87,10 +87,10 @@ def map_world(
 
 
 def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random.Generator) -> Kidnapped:
-    """A scan from where the robot has been, facing anywhere, or from another world.
+    """A scan from a place where the robot has been, with a random heading, or from another world.
 
-    Inside, at least `KNOWN` measurements are of mapped features; outside, the scan has so many measurements at least:
-    places are drawn until one gives such a scan, or the best of many is taken.
+    Inside, at least `KNOWN` measurements are of mapped features; outside, the scan has at least as many measurements.
+    Places are drawn until one gives such a scan; after `_DRAWS` places, the best scan is returned.
     """
     best, most = None, -1
     for _ in range(_DRAWS):
@@ -118,7 +118,7 @@ def _explore(episode: Episode) -> None:
 
 
 def _identities(episode: Episode) -> IntArray:
-    """True feature behind each landmark, SPURIOUS for those that have none and for duplicates of an older one."""
+    """(n,) true feature behind each landmark, SPURIOUS for landmarks without one and for duplicates of an older one."""
     sources = episode.identities.source_of(episode.slam.map.ids)
     first = np.zeros(len(sources), np.bool_)
     first[np.unique(sources, return_index=True)[1]] = True
@@ -135,21 +135,21 @@ def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
     place = mapped.trail[rng.integers(len(mapped.trail)), :2]
     true = np.array([place[0], place[1], rng.uniform(-math.pi, math.pi)])
     scan, truth = mapped.sensor.scan(true, rng, mapped.people, mapped.furniture)
-    landmark = np.full(len(mapped.site.plan.features) + 1, UNPAIRED)  # the last one is that of SPURIOUS
+    landmark = np.full(len(mapped.site.plan.features) + 1, UNPAIRED)  # the last entry is that of SPURIOUS
     known = np.flatnonzero(mapped.identities != SPURIOUS)
     landmark[mapped.identities[known]] = known
     return Kidnapped(scan, True, true, _in_map(mapped, true), landmark[truth.sources])
 
 
 def _in_map(mapped: MappedWorld, true: Array) -> Array:
-    """A true pose (3,) carried into B by the landmarks around it, so that the drift of the map is no error of a pose.
+    """Transform a true pose (3,) into B by the landmarks around it, so that drift of the map is no error of the pose.
 
-    True features within the sensor's reach are aligned rigidly with their landmarks.
+    The true features within the reach of the sensor are aligned rigidly with their landmarks.
     """
     positions = mapped.site.plan.features.positions
     known = np.flatnonzero(mapped.identities != SPURIOUS)
-    away = positions[mapped.identities[known]] - true[:2]
-    near = known[np.hypot(away[:, 0], away[:, 1]) <= mapped.reach]
+    offsets = positions[mapped.identities[known]] - true[:2]
+    near = known[np.hypot(offsets[:, 0], offsets[:, 1]) <= mapped.reach]
     return compose(align_se2(positions[mapped.identities[near]], mapped.landmarks.positions[near]), true)
 
 

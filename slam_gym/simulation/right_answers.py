@@ -1,4 +1,4 @@
-"""What is right, decision by decision, while a scan is being associated; judged as `metrics.association` does."""
+"""The right decisions while a scan is being associated, judged as in `metrics.association`."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from slam_gym.metrics.association import Decision
 from slam_gym.types import UNLABELLED, UNPAIRED, IntArray, Truth
 
 NOT_OFFERED = -1
-"""Instead of an action: the right one is not on offer, or nobody knows it."""
+"""In place of an action: the right action is not offered, or unknown."""
 
 UNDECIDED = -1
-"""Instead of a `Decision`: the measurement is still to be decided."""
+"""In place of a `Decision`: the measurement is not decided yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class RightAnswers:
-    """What the truth has to say about a scan, given the map before it."""
+    """The truth about a scan, relative to the map before it."""
 
     sources: IntArray  # (m,) true feature behind each measurement
     identities: IntArray  # (n,) true feature behind each feature of the map
-    right: IntArray  # (m,) map feature of each measurement, of duplicates the oldest; UNPAIRED: the map has none
+    right: IntArray  # (m,) map feature of each measurement, the oldest of duplicates; UNPAIRED: not in the map
 
     @classmethod
     def of(cls, truth: Truth, identities: IntArray) -> RightAnswers:
-        """On the scan of `truth`, by a map whose features (n,) come from the true features `identities`."""
+        """For the scan of `truth`, and a map whose features (n,) come from the true features `identities`."""
         oldest: dict[int, int] = {}
         for feature, source in enumerate(identities.tolist()):
             oldest.setdefault(source, feature)
@@ -37,7 +37,7 @@ class RightAnswers:
 
     @property
     def known(self) -> int:
-        """Measurements of features seen before."""
+        """Number of measurements of features that the map has."""
         return int(np.count_nonzero(self.right != UNPAIRED))
 
     def judge(self, measurement: int, feature: int) -> tuple[int, int]:
@@ -48,19 +48,19 @@ class RightAnswers:
         return right, 1 - right
 
     def right_action(self, walk: Walk) -> int:
-        """The action of the walk that is right; NOT_OFFERED where it is not on offer, or nobody knows."""
+        """The right action of the walk; NOT_OFFERED if it is not offered, or unknown."""
         i = walk.measurement
         if self.sources[i] == UNLABELLED:
             return NOT_OFFERED
         if self.right[i] == UNPAIRED:
             return walk.K
         features = walk.tree.prediction.features[walk.rows]
-        found = np.flatnonzero(features == self.right[i])
-        return int(found[0]) if len(found) else NOT_OFFERED
+        rows = np.flatnonzero(features == self.right[i])
+        return int(rows[0]) if len(rows) else NOT_OFFERED
 
 
 def decisions(walk: Walk, answers: RightAnswers) -> IntArray:
-    """(m,) `Decision` on each measurement of a walk so far, UNDECIDED where there is none yet."""
+    """(m,) `Decision` on each measurement of a walk so far, UNDECIDED for later measurements."""
     rows, out = walk.decided, np.full(len(walk.tree.scan), UNDECIDED)
     for i in walk.candidates.measurements[: walk.level].tolist():
         if rows[i] == UNPAIRED:
