@@ -123,7 +123,7 @@ SCENARIOS: dict[str, Scenario] = {
             wall_compass=True,  # in a hall without features in view, the walls still determine the heading
         ),
         Scenario(
-            "short-sighted",  # rooms of `building`, whose middle is out of sight for the robot of `office`: driving matters
+            "short-sighted",  # rooms of `building`, whose middle the robot of `office` does not see: driving matters
             _LARGE_ROOMS,
             budget=5_000,
         ),
