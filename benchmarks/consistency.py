@@ -1,10 +1,10 @@
-"""Which estimator stays consistent on a long way: the EKF of the papers, the right-invariant one, local maps joined.
+"""Consistency of estimators on long drives: the EKF of the papers, the right-invariant EKF, and joined local maps.
 
-The same logs for all, with JCBB and, but for local maps, with the true association: a square corridor driven round one
-and a quarter times, with much noise of the heading, and Victoria Park, against the least-squares optimum of its labels.
-ANEES of the pose is the mean over checkpoints per degree of freedom: 1 where consistent; the optimum was made of the
-same measurements, so that a consistent filter has less than 1 in the park. For local maps the pose is that in the map
-joined at the checkpoint. A loop counts as closed where fewer than five features are duplicates at the end.
+All have the same logs, with JCBB and, except for local maps, with true association: a square corridor driven round one
+and a quarter times, with much noise of the heading, and Victoria Park, with the least-squares optimum of its labels as
+the truth. ANEES of the pose is the mean over checkpoints per degree of freedom, which is 1 for a consistent filter; the
+optimum uses the same measurements, so that a consistent filter has less than 1 in the park. The pose of local maps is
+that in the map joined at the checkpoint. A loop counts as closed if the final map has fewer than five duplicates.
 
     python benchmarks/consistency.py       # fifteen minutes
 """
@@ -38,7 +38,7 @@ AROUND = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # along t
 
 @dataclass(frozen=True, eq=False)
 class DrivenLog:
-    """Steps that do not depend on what is made of them, with the truth behind them."""
+    """A log of steps that do not depend on the estimate, with the truth behind them."""
 
     world: str
     steps: Sequence[tuple[Odometry, Scan, Truth]]
@@ -49,7 +49,7 @@ class DrivenLog:
 
 
 class LoopSpec(NamedTuple):
-    """The corridor driven round."""
+    """The settings of the square corridor."""
 
     heading: float = 2.0  # [deg] σ of the heading, per step of a metre
     side: int = 50  # [m] of the square
@@ -57,13 +57,13 @@ class LoopSpec(NamedTuple):
     spacing: float = 3.0  # [m] of wall per feature
     reach: float = 8.0  # [m]
     laps: float = 1.25
-    range_sigma: float = 0.02  # of the range
+    range_sigma: float = 0.02  # [m/m] of the range
     bearing_sigma: float = math.radians(0.5)
     along: float = 0.05  # [m] σ of a step, forwards and sideways
 
 
 def loop(seed: int, spec: LoopSpec) -> DrivenLog:
-    """The robot drives anticlockwise, turning by 90° at each corner within a step."""
+    """A drive round the corridor, anticlockwise, with a turn of 90° within the step at each corner."""
     rng = np.random.default_rng(seed)
     features = walls(spec, rng)
     sigma = np.array([spec.along, spec.along, math.radians(spec.heading)])
@@ -85,7 +85,7 @@ def loop(seed: int, spec: LoopSpec) -> DrivenLog:
 
 
 def walls(spec: LoopSpec, rng: np.random.Generator) -> Array:
-    """Features (n, 2), spread evenly at random over the outer and the inner wall."""
+    """Features (n, 2) [m], uniformly distributed over the outer and the inner wall."""
     features = []
     for low in (-0.5 * spec.width, 0.5 * spec.width):  # of the outer and the inner square
         length = spec.side - 2.0 * low
@@ -106,37 +106,41 @@ def park(folder: Path, steps: int | None = None) -> DrivenLog:
 
 
 def estimate(log: DrivenLog, method: str, associator: str) -> Record:
-    """Run one of METHODS over a log: errors in B, without alignment, and the time of steps and joins together."""
+    """Run one of METHODS over a log; returns errors in B, without alignment, and the time of steps and joins."""
     spec = log.slam
     if method != "right-invariant":
         spec = replace(spec, map=replace(spec.map, iterations=1, right_invariant=False, second_order=False))
     slam = LocalMapSlam(spec, log.features_per_map) if method == "local maps" else Slam(spec)
     judged, base = JudgedSlam(slam, associator), log.steps[0][2].pose
     checked = set(np.linspace(0, len(log.steps) - 1, log.checkpoints + 1)[1:].round().astype(int).tolist())
-    spent, nees, off = 0.0, [], []
+    microseconds, nees, errors = 0.0, [], []
     for step, (odometry, scan, truth) in enumerate(log.steps):
-        spent += timed(judged.step, odometry, scan, truth)[1]
+        microseconds += timed(judged.step, odometry, scan, truth)[1]
         if step in checked:
             (pose, covariance, ids), joining = timed(present, slam)
-            spent += joining
+            microseconds += joining
             true = relative(base, truth.pose)
             nees.append(pose_nees(pose, covariance, true))
-            off.append(math.dist(pose[:2], true[:2]))
+            errors.append(math.dist(pose[:2], true[:2]))
     sources = judged.identities.source_of(ids)
     sources = sources[sources >= 0]
     return {
         **{"world": log.world, "method": method, "associator": associator},
-        **{"ANEES": float(np.mean(nees)) / 3.0, "error [m]": math.sqrt(np.mean(np.square(off))), "final [m]": off[-1]},
-        **{"duplicates": len(sources) - len(np.unique(sources)), "features": len(ids), "seconds": 1e-6 * spent},
+        **{
+            "ANEES": float(np.mean(nees)) / 3.0,
+            "error [m]": math.sqrt(np.mean(np.square(errors))),
+            "final [m]": errors[-1],
+        },
+        **{"duplicates": len(sources) - len(np.unique(sources)), "features": len(ids), "seconds": 1e-6 * microseconds},
     }
 
 
 def present(slam: Slam | LocalMapSlam) -> tuple[Array, Array, IntArray]:
-    """Pose (3,) of the robot, its covariance (3, 3) and the ids (n,) of the features; local maps are joined for it."""
+    """The pose (3,), its covariance (3, 3) and the ids (n,) of the features. Joins local maps."""
     if isinstance(slam, Slam):
         return slam.map.pose, slam.map.pose_covariance, slam.map.ids
-    whole = slam.smoothed()
-    return whole.poses[-1], whole.covariance([len(slam.maps)]), whole.ids
+    joined = slam.smoothed()
+    return joined.poses[-1], joined.covariance([len(slam.maps)]), joined.ids
 
 
 def main() -> None:
@@ -148,10 +152,10 @@ def main() -> None:
     if folder is not None:
         logs.append(park(folder / "victoria_park", 300 if a.quick else None))
     runs = [(log, method, name) for log in logs for name in ("jcbb", "true_association") for method in METHODS]
-    found = pd.DataFrame(estimate(*run) for run in runs if run[1:] != ("local maps", "true_association"))
+    results = pd.DataFrame(estimate(*run) for run in runs if run[1:] != ("local maps", "true_association"))
     keys = ["world", "associator", "method"]
     rows = []
-    for key, group in found.groupby(keys, sort=False):
+    for key, group in results.groupby(keys, sort=False):
         row = dict(zip(keys, key)) | {"runs": len(group)} | group.median(numeric_only=True).to_dict()
         rows.append(row | {"closed": proportion(int((group["duplicates"] < CLOSED).sum()), len(group))})
     table("Medians over the runs", rows)

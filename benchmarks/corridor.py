@@ -1,8 +1,8 @@
-"""Reference experiment: a robot loops once through a square corridor and comes back with a drifted heading.
+"""The reference experiment: a robot drives once round a square corridor and returns with a drifted heading.
 
-World, robot and sensor are those of `slam_gym.world.corridor`, driven directly on the SLAM core with the filter of the
-papers: one pass, an ordinary error, predictions to first order. `Q` scales the *covariance* that the filter is told;
-the noise drawn is always the same.
+World, robot and sensor are those of `slam_gym.world.corridor`, with the SLAM core and the filter of the papers: one
+iteration, a standard error state, first-order predictions. `Q` scales the *covariance* of the odometry as the filter
+knows it; the noise is always the same.
 
     python benchmarks/corridor.py        # 40 seeds, half a minute
 """
@@ -27,7 +27,7 @@ SETTINGS = ((1.0, 0.95), (1.0, 0.99), (2.0, 0.99))  # Q, confidence of the gates
 
 
 class CorridorRun(NamedTuple):
-    """What one run of the corridor came to."""
+    """The result of one run of the corridor."""
 
     slam: Slam
     tally: Tally
@@ -46,7 +46,7 @@ class CorridorRun(NamedTuple):
 def run_corridor(
     associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, locality: bool = True
 ) -> CorridorRun:
-    """One loop through the corridor."""
+    """Run one loop through the corridor."""
     spec = MapSpec(confidence=confidence, iterations=1, right_invariant=False, second_order=False)
     slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)

@@ -1,14 +1,13 @@
 """Maps of the first test worlds of the drift scenarios: map errors, duplicates and lost maps, world by world, as a CSV.
 
 Seven scenarios × JCBB, the learned associator and true association, driven by information gain, with relocation (gcbb)
-and the atlas: the conditions of the headline table. Beside the map of the filter stands that of batch least squares
-with the same pairings: with the true ones, it is the best that could be made of the drive. With `--compare OLD.csv` a
-second table has the paired differences NEW − OLD over the worlds that both hold, with 95 % bootstrap intervals of their
-mean.
+and the atlas: the conditions of the headline table. The map of the filter is compared with that of batch least squares
+with the same pairings, which with true pairings is the best possible map of the drive. With `--compare OLD.csv`, a
+second table contains the paired differences NEW − OLD over common worlds, with 95 % bootstrap intervals of their mean.
 
     python benchmarks/drift_reference.py --out new.csv [--compare old.csv]    # some ten minutes on two idle cores
 
-Rows that the CSV has already are not driven again. `--quick` drives 60 ticks of one world and writes nothing.
+Rows that are in the CSV already are not driven again. `--quick` drives 60 ticks of one world and writes nothing.
 """
 
 from __future__ import annotations
@@ -42,25 +41,25 @@ Task = tuple[str, str, int]
 
 
 def drive(task: Task, **overrides: Any) -> Record:
-    """One episode to its end, as a row of the CSV; `overrides` are fields of the scenario to change."""
+    """Run one episode; returns its row of the CSV. `overrides` are fields of the scenario to change."""
     scenario, associator, world = task
     driver = InformationGain()
     env = ExploreArguments(scenario, tuple(overrides.items()), associator=associator).make(driver.action)
-    looks: list[tuple[Odometry, Scan, IntArray]] = []
+    steps: list[tuple[Odometry, Scan, IntArray]] = []
 
-    def look(env: Any) -> None:
-        looks.append((env.episode.odometry, env.episode.scan, env.episode.last_step.ids))
+    def record_step(env: Any) -> None:
+        steps.append((env.episode.odometry, env.episode.scan, env.episode.last_step.ids))
 
-    env.unwrapped.watch(look)  # type: ignore[attr-defined]
-    found = run_episode(env, driver, world)
-    errors = {name: found[name] for name in MEASURES[:2]} | batch_errors(env.unwrapped.episode, looks)  # type: ignore[attr-defined]
-    counts = {"duplicates": int(found["duplicates"]), "lost": int(found["map_lost"])}
-    return dict(zip(KEYS, task)) | errors | counts | {"seconds": round(found["seconds"], 2)}
+    env.unwrapped.watch(record_step)  # type: ignore[attr-defined]
+    result = run_episode(env, driver, world)
+    errors = {name: result[name] for name in MEASURES[:2]} | batch_errors(env.unwrapped.episode, steps)  # type: ignore[attr-defined]
+    counts = {"duplicates": int(result["duplicates"]), "lost": int(result["map_lost"])}
+    return dict(zip(KEYS, task)) | errors | counts | {"seconds": round(result["seconds"], 2)}
 
 
-def batch_errors(episode: Episode, looks: list[tuple[Odometry, Scan, IntArray]]) -> Record:
-    """Map error, raw and aligned, of the confirmed features where batch least squares puts them."""
-    odometry, scans, ids = zip(*looks)
+def batch_errors(episode: Episode, steps: list[tuple[Odometry, Scan, IntArray]]) -> Record:
+    """Map error, raw and aligned, of the confirmed features at their positions by batch least squares."""
+    odometry, scans, ids = zip(*steps)
     best = smooth(odometry, scans, [final_ids(episode.slam, of_scan) for of_scan in ids], np.array(episode.estimates))
     confirmed = np.concatenate([m.ids[~m.provisional] for m in episode.slam.maps])
     mapped = transform(episode.base, best.positions[np.searchsorted(best.ids, confirmed)])
@@ -71,7 +70,7 @@ def batch_errors(episode: Episode, looks: list[tuple[Odometry, Scan, IntArray]])
 
 
 def drive_all(tasks: list[Task], out: Path, jobs: int) -> pd.DataFrame:
-    """The rows of all tasks; those that `out` does not have are driven, and written as they are finished."""
+    """The rows of all tasks. Drives those that are not in `out`, and writes each when it is finished."""
     rows: list[Record] = pd.read_csv(out).to_dict("records") if out.exists() else []
     known = {tuple(row[key] for key in KEYS) for row in rows}
     for row in run_all([partial(drive, task) for task in tasks if task not in known], jobs):
@@ -91,8 +90,8 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
         for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
             now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
-            found = paired_difference(now, before, np.random.default_rng(0), statistic=mean)
-            row[name] = f"{found.estimate:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+            gap = paired_difference(now, before, np.random.default_rng(0), statistic=mean)
+            row[name] = f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
             row["equal"] = row.get("equal", True) & (now == before)
         row["equal"] = int(row["equal"].sum())
         rows.append(row)
@@ -105,10 +104,10 @@ def main() -> None:
     if a.quick:
         print(drive(("drift-2", "jcbb", 0), budget=60))
         return
-    found = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
-    table("Means over the worlds", found.groupby(KEYS[:2], sort=False)[MEASURES].mean().round(3).reset_index())
+    results = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
+    table("Means over the worlds", results.groupby(KEYS[:2], sort=False)[MEASURES].mean().round(3).reset_index())
     if a.compare:
-        table(f"{a.out} − {a.compare}", differences(found, pd.read_csv(a.compare)))
+        table(f"{a.out} − {a.compare}", differences(results, pd.read_csv(a.compare)))
 
 
 if __name__ == "__main__":

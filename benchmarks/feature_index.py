@@ -1,9 +1,9 @@
-"""Relocation by the feature index: finding and refusing in maps of 1 000, 10 000 and 100 000 features.
+"""Relocation by the feature index: answers inside and outside maps of 1 000, 10 000 and 100 000 features.
 
-Maps of point features at 1/16 per m² with independent errors of 0.05 m; the robot sees the k features nearest to it, or
+Maps contain point features at 1/16 per m² with independent errors of 0.05 m. The robot sees the k nearest features, or
 a random half of the 2k nearest, each with an error of 0.05 m, and spurious measurements over the same disc. Sizes are
-not used. Times are of the processor, medians over scans of the least of three calls; right and wrong count accepted
-answers only, within 0.3 m and 3°.
+not used. Times are CPU times, medians over scans of the least of three calls; right (within 0.3 m and 3°) and wrong
+count accepted answers only.
 
     python benchmarks/feature_index.py       # four minutes
 """
@@ -24,16 +24,16 @@ from slam_gym.types import Array
 
 SIGMA = 0.05  # [m] of features in the map, and of measurements
 DENSITY = 1.0 / 16.0  # [1/m²]
-NEAR = Tolerance(0.3, math.radians(3.0))  # of a pose that is right
+NEAR = Tolerance(0.3, math.radians(3.0))  # of a right pose
 
 
 class Kind(NamedTuple):
-    """How scans are drawn."""
+    """A kind of scans."""
 
     m: int
     spurious: float  # fraction of the measurements
     half: bool  # a random half of the features around is seen, not all
-    inside: bool = True  # otherwise of features that the map does not hold
+    inside: bool = True  # otherwise of features that are not in the map
 
 
 KINDS = (
@@ -43,7 +43,7 @@ KINDS = (
 
 
 def point_map(n: int, rng: np.random.Generator) -> tuple[Array, Landmarks]:
-    """Features (n, 2) anywhere in a square, and a map of them."""
+    """Features (n, 2) [m], uniform over a square, and a map of them."""
     truth = rng.uniform(0.0, math.sqrt(n / DENSITY), (n, 2))
     return truth, Landmarks.from_points(truth + SIGMA * rng.standard_normal((n, 2)), sigma=SIGMA)
 
@@ -56,24 +56,24 @@ def query(truth: Array, kind: Kind, rng: np.random.Generator) -> tuple[Scan, Arr
     distances = np.hypot(*(features - pose[:2]).T)
     near = np.argpartition(distances, 2 * seen)[: 2 * seen]
     near = near[np.argsort(distances[near])][: 2 * seen if kind.half else seen]
-    strays = clutter(kind.m - seen, float(distances[near[-1]]), math.tau, rng)
-    points = np.concatenate([observe(pose, features[rng.permutation(near)[:seen]]), strays])[rng.permutation(kind.m)]
+    spurious = clutter(kind.m - seen, float(distances[near[-1]]), math.tau, rng)
+    points = np.concatenate([observe(pose, features[rng.permutation(near)[:seen]]), spurious])[rng.permutation(kind.m)]
     scan = Scan.from_points(points + SIGMA * rng.standard_normal((kind.m, 2)), sigma=SIGMA)
     return scan, pose if kind.inside else np.full(3, math.nan)
 
 
-def relocations(index: FeatureIndex, asked: list[tuple[Scan, Array]]) -> Record:
+def relocations(index: FeatureIndex, queries: list[tuple[Scan, Array]]) -> Record:
     """Times [ms] and outcomes of the index."""
     rows = []
-    for scan, pose in asked:
+    for scan, pose in queries:
         answer = index.relocate(scan)
         right = NEAR.holds(answer.pose, pose)
         verdict = {"right": answer.accepted and right, "wrong": answer.accepted and not right}
         verdict |= {"limit hit": answer.effort.limit_hit, "ambiguous": answer.ambiguous}
         rows.append({"ms": 1e-3 * fastest(index.relocate, scan, repeats=3), **verdict})
-    found = pd.DataFrame(rows)
-    times = {"ms": found["ms"].median(), "95 %": found["ms"].quantile(0.95), "longest": found["ms"].max()}
-    return times | found.drop(columns="ms").mean().to_dict()
+    results = pd.DataFrame(rows)
+    times = {"ms": results["ms"].median(), "95 %": results["ms"].quantile(0.95), "longest": results["ms"].max()}
+    return times | results.drop(columns="ms").mean().to_dict()
 
 
 def main() -> None:
@@ -85,10 +85,10 @@ def main() -> None:
     for n in sizes:
         truth, landmarks = point_map(n, rng)
         index, microseconds = timed(FeatureIndex, landmarks)
-        built.append({"n": n, "µs a feature": microseconds / n})
+        built.append({"n": n, "µs per feature": microseconds / n})
         for kind in KINDS:
-            asked = [query(truth, kind, rng) for _ in range(scans)]
-            rows.append({"n": n, **kind._asdict(), **relocations(index, asked)})
+            queries = [query(truth, kind, rng) for _ in range(scans)]
+            rows.append({"n": n, **kind._asdict(), **relocations(index, queries)})
     table("Building", built)
     table("Relocation by the index", rows)
 

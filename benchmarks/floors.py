@@ -1,12 +1,12 @@
 """Maps of real floors: one drive of each floor and seed, replayed with every associator, as a CSV.
 
-The robot of `building` is driven by information gain with the true association; what it senses is kept, and every
-associator maps just that, with relocation (gcbb) and the atlas. So rows of one drive differ by their decisions alone.
+The robot of `building` is driven by information gain with true association. Its measurements are recorded, and every
+associator maps them, with relocation (gcbb) and the atlas. Rows of one drive therefore differ only by their decisions.
 
     python benchmarks/floors.py --floors A_occ_map.npy.gz B_occ_map.npy.gz --seeds 0 1 --out floors.csv
 
-Ten to forty seconds a drive and associator for floors of 200 m, whose drives end after `--ticks`. Rows that the CSV has
-already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
+A drive and associator take ten to forty seconds for floors of 200 m, whose drives end after `--ticks`. Rows that are in
+the CSV already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ KEYS = ["floor", "seed", "associator"]
 MEASURES = ("map_error_aligned", "map_error", "duplicates", "precision", "recall", "anees")
 
 
-class Look(NamedTuple):
-    """What the robot sensed in a tick."""
+class Measured(NamedTuple):
+    """The measurements of one tick."""
 
     odometry: Odometry
     scan: Scan
@@ -46,51 +46,51 @@ class Look(NamedTuple):
 
 
 class Replay(Episode):
-    """An episode that senses what another one has sensed."""
+    """An episode with the measurements of another one."""
 
-    def __init__(self, looks: Iterable[Look], driven: Episode, seed: int, associator: str) -> None:
-        self._looks = iter(looks)
+    def __init__(self, recorded: Iterable[Measured], driven: Episode, seed: int, associator: str) -> None:
+        self._recorded = iter(recorded)
         rng = np.random.default_rng(seed)
-        rng.integers(SPLITS["test"][1])  # as the environment draws a world: the robot starts where it did
+        rng.integers(SPLITS["test"][1])  # as the environment draws a world, so that the start is the same
         informed = associator == CEILING
         relocate, atlas = (None, None) if informed else (relocate_by(SEARCH), AtlasSpec())
         super().__init__(driven.scenario, driven.site, associator, rng, relocate=relocate, atlas=atlas)
         assert (self.base == driven.base).all()
 
     def _drive(self, forward: float, turn: float) -> None:
-        self.odometry, self.scan, self.truth, self.beams = next(self._looks)
+        self.odometry, self.scan, self.truth, self.beams = next(self._recorded)
 
     def _sense(self, motion: Motion) -> None:
         self._drive(0.0, 0.0)
 
 
-def drive(floor: str | None, seed: int, ticks: int) -> tuple[list[Look], Episode]:
-    """The looks of a drive with the true association, and its episode; no floor: the first world of `building`."""
-    driver, looks = InformationGain(), []
+def drive(floor: str | None, seed: int, ticks: int) -> tuple[list[Measured], Episode]:
+    """The measurements of a drive with true association, and its episode. Without a floor, in a world of `building`."""
+    driver, recorded = InformationGain(), []
     overrides, resolution = (("budget", ticks),) if ticks else (), 0.1 if floor else None
     arguments = ExploreArguments(
         "building", overrides, associator=CEILING, floor_plan=floor, resolution=resolution, relocation=None
     )
     env = arguments.make(driver.action)
 
-    def look(env: object) -> None:
+    def record_tick(env: object) -> None:
         episode = env.episode  # type: ignore[attr-defined]
-        looks.append(Look(episode.odometry, episode.scan, episode.truth, episode.beams))
+        recorded.append(Measured(episode.odometry, episode.scan, episode.truth, episode.beams))
 
-    env.unwrapped.watch(look)  # type: ignore[attr-defined]
+    env.unwrapped.watch(record_tick)  # type: ignore[attr-defined]
     run_episode(env, driver, seed)
-    return looks, env.unwrapped.episode  # type: ignore[attr-defined]
+    return recorded, env.unwrapped.episode  # type: ignore[attr-defined]
 
 
-def replayed(looks: list[Look], driven: Episode, seed: int, associator: str) -> Record:
-    """How well the looks are mapped."""
-    episode = Replay(looks, driven, seed, associator)
+def replayed(recorded: list[Measured], driven: Episode, seed: int, associator: str) -> Record:
+    """The measures of the map that an associator makes of the measurements."""
+    episode = Replay(recorded, driven, seed, associator)
     lost = 0
-    while episode.ticks < len(looks) - 1:
+    while episode.ticks < len(recorded) - 1:
         episode.tick(0.0, 0.0)
         lost += episode.slam.lost
-    found = quality(episode)
-    return {name: found[name] for name in MEASURES} | {"lost": lost, "maps": len(episode.slam.maps)}
+    measures = quality(episode)
+    return {name: measures[name] for name in MEASURES} | {"lost": lost, "maps": len(episode.slam.maps)}
 
 
 def main() -> None:
@@ -101,12 +101,12 @@ def main() -> None:
     for floor in a.floors:
         name = Path(floor).name.removesuffix("_occ_map.npy.gz") or "building"
         for seed in a.seeds:
-            left = [associator for associator in a.associators if (name, seed, associator) not in done]
-            if not left:
+            remaining = [associator for associator in a.associators if (name, seed, associator) not in done]
+            if not remaining:
                 continue
-            looks, driven = drive(floor or None, seed, 60 if a.quick else a.ticks)
-            for associator in left:
-                row = dict(zip(KEYS, (name, seed, associator))) | replayed(looks, driven, seed, associator)
+            recorded, driven = drive(floor or None, seed, 60 if a.quick else a.ticks)
+            for associator in remaining:
+                row = dict(zip(KEYS, (name, seed, associator))) | replayed(recorded, driven, seed, associator)
                 rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
                 table("", [row])
                 if out is not None:

@@ -1,14 +1,13 @@
-"""Searches with a prior at loop closure: what they get right, and their time.
+"""Searches with a prior at loop closure: accuracy and time.
 
 A robot maps a square field of point features (0.6 per m²) in lanes, with known association. It is then carried
-elsewhere with a wide odometry (σ 0.45 m, 0.45 m, 2°), so that each measurement has four to five candidates, and looks
-once: 20 measurements, 30 % of them spurious, against all features of the map. `tracking` is a scan with a good pose.
+elsewhere with an uncertain odometry (σ 0.45 m, 0.45 m, 2°), so that each measurement has four to five candidates, and
+scans once: 20 measurements, 30 % of them spurious, against all features of the map. `tracking` is a scan with a good
+pose.
 
-Searches are timed from the call in Python to the answer: gating, joint covariance of the candidates, search.
-
-A scan is `exact` if every
-measurement is decided as its source says; `recall` counts measurements of mapped features that are paired rightly,
-`precision` pairings that are right; `× JCBB` is the median ratio of times on the same scan.
+Searches are timed from the call in Python to the result: gating, joint covariance of the candidates, search. A scan is
+`exact` if every decision is right; `recall` is the fraction of measurements of mapped features that are paired rightly,
+`precision` the fraction of pairings that are right; `× JCBB` is the median ratio of times on the same scan.
 
     python benchmarks/jcbb.py       # two minutes
 """
@@ -31,24 +30,24 @@ from slam_gym.types import Array, IntArray
 DENSITY = 0.6  # [1/m²]
 RANGE = 6.0  # [m]
 SIGMA = 0.03  # [m] of a measurement, in x and in y
-DETECTION = 0.9  # fraction of the features in range that is reported
+DETECTION = 0.9  # fraction of the features in range that is measured
 STEP = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odometry of the mapping drive
-PAIRED = 15  # mapped features, at most, that a scan of the mapping drive updates
+PAIRED = 15  # largest number of mapped features that a scan of the mapping drive updates
 
 
 @dataclass(frozen=True)
 class MappedField:
-    """Where the features are, what the map knows, and which map feature each of them is."""
+    """A field of features, its map, and the map feature of each."""
 
     features: Array  # (n, 2) [m]
     map: StochasticMap
-    index: IntArray  # (n,) map feature, UNPAIRED where it has none
+    index: IntArray  # (n,) map feature, UNPAIRED where there is none
     pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
 
 
 @dataclass(frozen=True)
 class Workload:
-    """How hard a scan is to associate."""
+    """The difficulty of a scan."""
 
     name: str
     sigma: Array  # (3,) [m, m, rad] of the odometry before the scan
@@ -90,18 +89,18 @@ def mapped_field(n: int, rng: np.random.Generator) -> MappedField:
 
 
 def closure_scan(field: MappedField, m: int, w: Workload, rng: np.random.Generator) -> ClosureScan:
-    """The robot is carried to a random place, and sees there the nearest features that it detects, and clutter."""
+    """A scan of m measurements at a random place, to which the robot is carried: the nearest features, and clutter."""
     carried, side = field.map.copy(), float(field.features.max())
     target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
     motion = relative(field.pose, target) + w.sigma * rng.standard_normal(3)
     carried.predict(Odometry(motion, np.diag(w.sigma**2)))
-    strays = round(w.spurious * m)
-    reach = math.sqrt(2.0 * (m - strays) / DETECTION / (math.tau * DENSITY))
+    spurious = round(w.spurious * m)
+    reach = math.sqrt(2.0 * (m - spurious) / DETECTION / (math.tau * DENSITY))
     seen = features_in_view(field.features, target, 1.5 * reach)
     seen = seen[rng.random(len(seen)) < DETECTION]
-    seen = seen[np.argsort(np.hypot(*(field.features[seen] - target[:2]).T))][: m - strays]
-    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, math.tau, rng)])
-    truth = np.concatenate([field.index[seen], np.full(strays, UNPAIRED)])
+    seen = seen[np.argsort(np.hypot(*(field.features[seen] - target[:2]).T))][: m - spurious]
+    points = np.concatenate([observe(target, field.features[seen]), clutter(spurious, reach, math.tau, rng)])
+    truth = np.concatenate([field.index[seen], np.full(spurious, UNPAIRED)])
     order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
     return ClosureScan(noisy(points[order], SIGMA, rng), predict(carried, np.inf), truth[order])
 
@@ -111,21 +110,21 @@ def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
 
 
 def compare(scans: list[ClosureScan]) -> list[Record]:
-    """Every search on the same scans: what it gets right, and its time [µs]."""
+    """The accuracy and time [µs] of every search on the same scans."""
     rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
     truth = np.concatenate([one.truth for one in scans])
     for name, search in ASSOCIATORS.items():
         if name == CEILING:
             continue
         answers = [search(one.scan, one.prediction).features for one in scans]
-        found = np.concatenate(answers)
-        right = int(((found == truth) & (truth != UNPAIRED)).sum())
+        features = np.concatenate(answers)
+        right = int(((features == truth) & (truth != UNPAIRED)).sum())
         times = np.array([fastest(search, one.scan, one.prediction) for one in scans])
         rows.append({
             "search": name,
             "exact": np.mean([np.array_equal(answer, one.truth) for answer, one in zip(answers, scans)]),
             "recall": right / max(int((truth != UNPAIRED).sum()), 1),
-            "precision": right / max(int((found != UNPAIRED).sum()), 1),
+            "precision": right / max(int((features != UNPAIRED).sum()), 1),
             "median µs": np.median(times),
             "95 %": np.quantile(times, 0.95),
             "× JCBB": np.median(times / of_jcbb),

@@ -1,13 +1,13 @@
-"""What locality saves relocation, against the bound of the source (Eq. 9.22), and what it costs.
+"""The effort that locality saves in relocation, compared with the bound of the source (Eq. 9.22), and its losses.
 
-A square field of point features (0.02 per m²) is mapped in one lawn-mower pass, lanes 12 m apart, by a robot that sees
-15 m far and 180° wide. Its odometry drifts between stations along the pass, and what it sees again of the lane before
-ties each station to its neighbour there: errors are large over the map and small between neighbours, as in a stochastic
-map. Then it is lost, and looks once: m measurements, a quarter of them spurious, sizes and kinds unknown.
+A square field of point features (0.02 per m²) is mapped in one lawn-mower pass, in lanes 12 m apart, by a robot with a
+sensor of 15 m and 180°. Its odometry drifts between stations along the pass, and features seen again from the previous
+lane link each station to its neighbour there: errors are large over the map and small between neighbours, as in a
+stochastic map. Then the robot is lost, and scans once: m measurements, a quarter spurious, without sizes and kinds.
 
-Tables: sizes of the localities, hypotheses of the unpruned tree and what each locality loses; effort of GCBB (also with
-its measurements taken from the centre of the scan outwards) and of random sampling (RS) against n, with exponents; how
-many pairings make an answer believable, inside the map and outside of it. A pairing test is a unary or a binary one.
+Tables: sizes of the localities, hypotheses of the unpruned tree and losses of each locality; effort of GCBB (also with
+measurements ordered from the centre of the scan outwards) and of random sampling (RS) against n, with exponents;
+answers by the required number of pairings, inside the map and outside. A pairing test is a unary or a binary one.
 
     python benchmarks/locality.py        # ten minutes
 """
@@ -40,11 +40,11 @@ from slam_gym.mapping.locality import (
 from slam_gym.types import Array, IntArray, Relocator
 
 LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
-NEAR = Tolerance(1.0, math.radians(5.0))  # of the pose that the true pairings give
+NEAR = Tolerance(1.0, math.radians(5.0))  # around the pose by the true pairings
 DENSITY = 0.02  # [1/m²]
 REACH = 15.0  # [m] of the sensor, over the half plane ahead
 LANE, STATION = 12.0, 20.0  # [m] between lanes, at most; between nodes of the network that carries the drift
-ALONG, ACROSS, OWN = 0.15, 0.10, 0.05  # [m] σ from station to station, to the lane before, of a feature itself
+ALONG, ACROSS, OWN = 0.15, 0.10, 0.05  # [m] σ from station to station, to the previous lane, of a feature itself
 RANGE_SIGMA, BEARING_SIGMA = 0.05, math.radians(0.25)  # of the sensor
 LARGEST = 3_200  # features of a map that is searched without a locality
 LOCAL_MAP = 50  # features after which a new local map begins
@@ -59,11 +59,11 @@ class SurveyedField:
     landmarks: Landmarks
     path: Array  # (k, 3) [m, m, rad] poses of the mapping pass
     in_scan: CovisibilityGraph  # seen in one scan
-    in_map: CovisibilityGraph  # seen while one local map was built: each has a copy of what it sees
+    in_map: CovisibilityGraph  # seen during one local map; each map has its own copies of features
     map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
-        """One of `LOCALITIES`. Local maps: seen while the same one was built; joined: each feature in the oldest."""
+        """One of `LOCALITIES`. Local maps: features seen during the same one; joined: each belongs to its oldest map."""
         return {
             "covisibility": lambda: covisible(self.in_scan),
             "two hops": lambda: covisible(self.in_scan, hops=2),
@@ -97,20 +97,20 @@ def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
     in_scan, in_map = CovisibilityGraph(), CovisibilityGraph()
     in_scan.add(n)
     in_map.add(n)
-    map_number, held = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
+    map_number, members = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
     for k, rows in enumerate(seen):
         in_scan.see_together(np.sort(number[rows]))
-        held = np.union1d(held, number[rows])
-        map_number[k + 1 :] += len(held) >= LOCAL_MAP
-        if len(held) >= LOCAL_MAP or k == len(seen) - 1:
-            in_map.see_together(held)
-            held = np.empty(0, np.int64)
+        members = np.union1d(members, number[rows])
+        map_number[k + 1 :] += len(members) >= LOCAL_MAP
+        if len(members) >= LOCAL_MAP or k == len(seen) - 1:
+            in_map.see_together(members)
+            members = np.empty(0, np.int64)
     landmarks = drifted_map(features, poses, arcs, first, rng)
     return SurveyedField(side, features, landmarks, poses, in_scan, in_map, map_number[first])
 
 
 def lawn_mower_pass(side: float) -> tuple[Array, Array]:
-    """Poses (k, 3), a metre apart, there and back over a square of `side` [m]; and the way (k,) [m] to each."""
+    """Poses (k, 3), a metre apart, in lanes over a square of `side` [m]; and the path length (k,) [m] to each."""
     count = max(1, math.ceil(side / LANE))
     heights = (np.arange(count) + 0.5) * side / count
     corners = [(x, y) for k, y in enumerate(heights) for x in ((0.0, side) if k % 2 == 0 else (side, 0.0))]
@@ -128,34 +128,35 @@ def lawn_mower_pass(side: float) -> tuple[Array, Array]:
 def drifted_map(features: Array, poses: Array, arcs: Array, first: IntArray, rng: np.random.Generator) -> Landmarks:
     """The map of features (n, 2) first seen from poses `first` (n,), with exact cross-covariances.
 
-    Only those of pairs that a scan can span: others fail by distance anyhow, and all of 12 800 features take 5 GB.
+    It contains only those of pairs that a scan can span: other pairs fail the distance test, and all take 5 GB for
+    12 800 features.
     """
     K, n = station_covariance(poses, arcs), len(features)
-    low = np.minimum((arcs[first] / STATION).astype(np.int64), len(K) - 2)  # the station before
-    weight = arcs[first] / STATION - low  # of the station after
+    low = np.minimum((arcs[first] / STATION).astype(np.int64), len(K) - 2)  # the previous station
+    weight = arcs[first] / STATION - low  # of the next station
     drift = np.linalg.cholesky(K) @ rng.standard_normal((len(K), 2))
     drift = (1.0 - weight)[:, None] * drift[low] + weight[:, None] * drift[low + 1]
     positions = features + drift + OWN * rng.standard_normal((n, 2))
 
     def between(j: IntArray, l: IntArray) -> Array:
-        """Covariance [m²] per axis of the errors at the places that features j and l were first seen from."""
+        """Covariance [m²] per axis of the errors at the places from which features j and l were first seen."""
         a, b = weight[j], weight[l]
         before = (1 - a) * ((1 - b) * K[low[j], low[l]] + b * K[low[j], low[l] + 1])
         return np.asarray(before + a * ((1 - b) * K[low[j] + 1, low[l]] + b * K[low[j] + 1, low[l] + 1]))
 
-    own = between(np.arange(n), np.arange(n)) + OWN**2
-    spanned = within(positions, 2.0 * REACH + 6.0 * math.sqrt(2.0 * own.max()))
+    variances = between(np.arange(n), np.arange(n)) + OWN**2
+    spanned = within(positions, 2.0 * REACH + 6.0 * math.sqrt(2.0 * variances.max()))
     row = np.repeat(np.arange(n), np.diff(spanned.starts))
-    cross = np.where(row == spanned.members, own[row], between(row, spanned.members))
+    cross = np.where(row == spanned.members, variances[row], between(row, spanned.members))
     blocks = np.ascontiguousarray(cross[:, None, None] * np.eye(2))
-    independent = Landmarks.from_points(positions, own[:, None, None] * np.eye(2))
+    independent = Landmarks.from_points(positions, variances[:, None, None] * np.eye(2))
     return replace(independent, block_starts=spanned.starts, block_columns=spanned.members, blocks=blocks)
 
 
 def station_covariance(poses: Array, arcs: Array) -> Array:
     """Covariance (s, s) [m²] per axis of the error at each station: the inverse of the network's precision.
 
-    Odometry links each station to the next; what is seen again, to the nearest one of the lane before.
+    Odometry links each station to the next; features seen again link it to the nearest one of the previous lane.
     """
     count = math.ceil(arcs[-1] / STATION) + 1
     places = poses[np.minimum(np.searchsorted(arcs, STATION * np.arange(count)), len(poses) - 1), :2]
@@ -166,7 +167,7 @@ def station_covariance(poses: Array, arcs: Array) -> Array:
             gaps = np.hypot(*(places[before] - places[k]).T)
             links.append((k, before[int(gaps.argmin())], ACROSS))
     precision = np.zeros((count, count))
-    precision[0, 0] = 1.0 / OWN**2  # the map's base is where the pass began
+    precision[0, 0] = 1.0 / OWN**2  # the map's base is the start of the pass
     for k, l, sigma in links:
         precision[[k, l], [k, l]] += sigma**-2
         precision[[k, l], [l, k]] -= sigma**-2
@@ -175,7 +176,7 @@ def station_covariance(poses: Array, arcs: Array) -> Array:
 
 
 def inside(field: SurveyedField, m: int, spurious: int, rng: np.random.Generator) -> FieldScan:
-    """A scan of m measurements in random order, `spurious` of them clutter, from a random pose that sees the others."""
+    """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map."""
     seen = np.empty(0, np.int64)
     while len(seen) < m - spurious:
         pose = np.array([*(field.side * rng.random(2)), rng.uniform(-math.pi, math.pi)])
@@ -187,7 +188,7 @@ def inside(field: SurveyedField, m: int, spurious: int, rng: np.random.Generator
 
 
 def outside(m: int, rng: np.random.Generator) -> FieldScan:
-    """A scan of m measurements from a place that is not in the map."""
+    """A scan of m measurements from a place outside the map."""
     return FieldScan(measured(clutter(m, REACH, math.pi, rng), rng), np.full(m, UNPAIRED), np.full(3, np.nan))
 
 
@@ -198,7 +199,7 @@ def measured(points: Array, rng: np.random.Generator) -> Scan:
 
 
 def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Relocator]:
-    """GCBB, with or without the search for rivals, and RS, by the names they have in the tables."""
+    """GCBB, with or without the search for rivals, and RS, by their names in the tables."""
     return {
         "GCBB": functools.partial(gcbb, confidence=confidence, rivals=rivals),
         "GCBB, outwards": functools.partial(gcbb, confidence=confidence, rivals=rivals, outwards=True),
@@ -207,22 +208,24 @@ def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Rel
 
 
 def relocate(search: Relocator, area: SurveyedField, drawn: FieldScan, locality: Locality | None) -> Record:
-    """Relocate one scan: what it took, and how much of it is right."""
+    """Relocate one scan; returns its effort, and which of its pairings are right."""
     answer, record = attempt(search, drawn.scan, area.landmarks, locality)
     true, right = drawn.truth != UNPAIRED, False
     if true.sum() >= 2 and np.isfinite(answer.pose).all():
         right = NEAR.holds(answer.pose, locate(drawn.scan, area.landmarks, drawn.truth).pose)
-    found = int((true & (answer.features == drawn.truth)).sum())
+    right_pairings = int((true & (answer.features == drawn.truth)).sum())
     record |= {"inside": bool(np.isfinite(drawn.pose).all()), "right": right}
-    return record | {"pairings found": found / max(int(true.sum()), 1), "all found": found == true.sum()}
+    return record | {
+        "pairings found": right_pairings / max(int(true.sum()), 1),
+        "all found": right_pairings == true.sum(),
+    }
 
 
 def sweep(
     searched: Mapping[str, Relocator], names: Sequence[str], sizes: Sequence[int], m: int, scans: int, seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """All searches under the named localities in maps of each size, a row per scan; and a row per locality and size.
-
-    Without a locality, which takes time with n², the search ends at `LARGEST` features.
+    """The results of all searches under the named localities in maps of each size: a row per scan, and a row per
+    locality and size. Without a locality, where the time grows with n², maps have at most `LARGEST` features.
     """
     attempts, localities = [], []
     for n in sizes:
@@ -232,29 +235,30 @@ def sweep(
             drawn = [inside(area, m, m // 4, rng) for _ in range(number, scans, maps)]
             for name in LOCALITIES:
                 locality, key = area.locality(name), {"locality": name, "n": n, "m": m}
-                localities.append(key | figures(n, m, locality, [one.truth for one in drawn]))
+                localities.append(key | figures(n, m, locality, [scan.truth for scan in drawn]))
                 if name in names and (locality is not None or n <= LARGEST):
                     attempts += [
-                        {"search": search, **key, **relocate(searched[search], area, one, locality)}
-                        for search in searched for one in drawn
+                        {"search": search, **key, **relocate(searched[search], area, scan, locality)}
+                        for search in searched for scan in drawn
                     ]  # fmt: skip
     means = pd.DataFrame(localities).groupby(["locality", "n", "m"], sort=False).mean().reset_index()
     return pd.DataFrame(attempts), means
 
 
 def figures(n: int, m: int, locality: Locality | None, truths: Sequence[IntArray]) -> Record:
-    """Mean and largest |L(j)| of a map of n features, N_h of the unpruned tree, Eq. 9.22, and what is lost."""
+    """Mean and largest |L(j)| in a map of n features, N_h of the unpruned tree, the bound of Eq. 9.22, and losses."""
     sizes = locality_sizes(locality, n)
     counts = {"N_h": hypothesis_count(sizes, m), "9.22, max c": hypothesis_bound(n, m, int(sizes.max()))}
     return {"mean c": sizes.mean(), "max c": sizes.max(), **counts, **losses(truths, locality)}
 
 
 def losses(truths: Sequence[IntArray], locality: Locality | None) -> dict[str, float]:
-    """Fractions of what a locality loses before any test, from the feature (m,) behind each measurement of each scan.
+    """The fractions that a locality loses before any test, from the feature (m,) behind each measurement of each scan.
 
-    `pairs`: of two features seen in one scan, that are not local to each other. `pairings`: of the true pairings, that
-    no hypothesis holds which takes the measurements in the order of the scan, so that its first one decides; `scans`:
-    that have no such hypothesis with all of them; `anyhow`: nor if any of them may come first, as in random sampling.
+    `pairs`: pairs of features seen in one scan that are not local to each other. `pairings`: true pairings that are not
+    in the best hypothesis that pairs measurements in the order of the scan, so that its first pairing determines the
+    locality. `scans`: scans without such a hypothesis with all true pairings. `anyhow`: scans without one even if any
+    measurement may be paired first, as in random sampling.
     """
     known = [truth[truth != UNPAIRED] for truth in truths]
     everything = np.concatenate(known)
@@ -269,7 +273,7 @@ def losses(truths: Sequence[IntArray], locality: Locality | None) -> dict[str, f
 
 
 def inside_and_outside(search: Relocator, name: str, n: int, m: int, scans: int, seed: int) -> pd.DataFrame:
-    """Attempts at `scans` scans from inside the map and as many from outside, under a locality, over several maps."""
+    """Attempts at `scans` scans from inside and as many from outside the map, under a locality, over several maps."""
     rows, maps = [], min(10, scans)
     for number in range(maps):
         rng = np.random.default_rng([seed, n, m, number])
@@ -282,7 +286,7 @@ def inside_and_outside(search: Relocator, name: str, n: int, m: int, scans: int,
 
 
 def power(attempts: pd.DataFrame, name: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Exponent p of the means ∝ n^p, by least squares on logarithms; 95 % by resampling the scans of each size."""
+    """Exponent p of means ∝ n^p, by least squares on logarithms; 95 % interval by resampling scans of each size."""
     groups = {n: group.to_numpy(float) for n, group in attempts.groupby("n")[name]}
     x = np.log(list(groups))
     resampled = [v[rng.integers(0, len(v), (2000, len(v)))].mean(axis=1) for v in groups.values()]
@@ -292,7 +296,7 @@ def power(attempts: pd.DataFrame, name: str, rng: np.random.Generator) -> tuple[
 
 
 def exponents(attempts: pd.DataFrame, fitted_from: int, seed: int) -> list[Record]:
-    """Exponents in n of every series with two sizes from `fitted_from` features on."""
+    """Exponents in n of every series with at least two sizes from `fitted_from` features on."""
     rows = []
     for (search, name), group in attempts[attempts["n"] >= fitted_from].groupby(["search", "locality"], sort=False):
         if group["n"].nunique() > 1:
@@ -306,18 +310,18 @@ def main() -> None:
     a = options(__doc__, scans=30, judged=500, largest=12_800)
     scans, judged, largest = (2, 4, 100) if a.quick else (a.scans, a.judged, a.largest)
     sizes = [n for n in (50, 100, 200, 400, 800, 1600, 3200, 6400, 12_800) if n <= largest]
-    names = [name for name in LOCALITIES if name != "joined maps"]  # its loss is shown; nobody would search it
+    names = [name for name in LOCALITIES if name != "joined maps"]  # only its losses are shown
     attempts, localities = sweep(searches(), names, sizes, 8, scans, a.seed)
     table("Localities; hypotheses of the unpruned tree (m = 8), fractions of the truth that are lost", localities)
     means = attempts.groupby(["search", "locality", "n"], sort=False).mean(numeric_only=True).reset_index()
     shown = ["nodes", "pairing tests", "ms", "pairings found", "all found", "right", "limit hit"]
-    table("Effort against the size of the map; means a scan", means[["search", "locality", "n", *shown]])
+    table("Effort against the size of the map; means per scan", means[["search", "locality", "n", *shown]])
     table("Exponents in n", exponents(attempts, sizes[0] if a.quick else 800, a.seed))
     rows = []
     for m, (name, search) in itertools.product((6, 8, 10), searches(rivals=True).items()):
         tried = inside_and_outside(search, "two hops", 100 if a.quick else 400, m, judged, a.seed)
-        rows += [{"search": name, "m": m, **count_answers(tried, asked)} for asked in (None, *range(3, m + 1))]
-    table("Answers by the number of pairings asked for, two hops", rows)
+        rows += [{"search": name, "m": m, **count_answers(tried, least)} for least in (None, *range(3, m + 1))]
+    table("Answers by the required number of pairings, two hops", rows)
 
 
 if __name__ == "__main__":

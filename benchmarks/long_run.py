@@ -1,13 +1,13 @@
-"""A million ticks through everything, with settings that no robot should have: does anything break, does memory grow?
+"""A million ticks of all environments, with extreme settings: checks that nothing breaks and that memory does not grow.
 
-Episodes of Explore, Associate and Relocate go round all scenarios and eight kinds of settings (as they are; noise × 20;
+Episodes of Explore, Associate and Relocate go through all scenarios and eight kinds of settings (unchanged; noise × 20;
 much clutter; a blind detector; a crowd; a floor of 200 m; no noise; all at once), with associators, relocation, rewards
 and localities drawn at random. At every step the observation must be in its space, the reward finite and some action
-legal; maps stay finite and positive semi-definite; the rewards of an exploration sum to the fall of its error; and
-memory in the last fifth of the episodes is within a twentieth of that in the second. Episode N follows from the seed
-and N alone: `--first N --ticks 1` plays it again. With an associator, every episode is an exploration with it, at noise
-× 20, 10 spurious measurements a scan and among 30 people, and no tick may take more than a second of the processor.
-Ends in 1 if anything broke.
+legal; maps must stay finite and positive semi-definite; the rewards of an exploration must sum to the decrease of its
+error; and memory in the last fifth of the episodes may be at most 5 % above that in the second. Episode N depends only
+on the seed and N: `--first N --ticks 1` repeats it. With --associator, every episode is an exploration with it, at
+noise × 20, with 10 spurious measurements per scan and 30 people, and no tick may take more than a second of CPU time.
+The exit status is 1 if anything broke.
 
     python benchmarks/long_run.py --ticks 1000000                        # an hour and a half
     python benchmarks/long_run.py --ticks 100000 --associator learned
@@ -61,20 +61,20 @@ ARGUMENTS: dict[str, dict[str, tuple[Any, ...]]] = {
 }
 LONGEST = {"Explore": math.inf, "Associate": 300, "Relocate": 150}  # [ticks]
 KINDS = ("Explore",) * 7 + ("Associate",) * 2 + ("Relocate",)
-MIN_EPISODES = 100  # in which memory is judged: before, code is still being loaded
+MIN_EPISODES = 100  # least number for a judgement on memory, since code is loaded at first
 GROWTH = 0.05  # of memory from the second to the last fifth of the episodes; more is a leak
-LONGEST_TICK = 1.0  # [s] of the processor, with an associator; the first episode, which may compile, is not timed
+LONGEST_TICK = 1.0  # [s] CPU time, with --associator; the first episode, which may compile, is not timed
 
 
 class Step(NamedTuple):
-    """What a step of an episode took."""
+    """The effort of a step of an episode."""
 
     ticks: int
-    seconds: float  # of the processor
+    seconds: float  # CPU time
 
 
 def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[str, gym.Env[Any, Any]]:
-    """The `number`-th episode in words, and its environment; scenarios and extremes go round, the rest is drawn.
+    """A description of episode `number`, and its environment; scenarios and extremes take turns, the rest is random.
 
     With an `associator`, all episodes explore with it and have the settings `SOAK`.
     """
@@ -94,7 +94,7 @@ def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[s
 
 
 def checked(env: Any, seed: int) -> Iterator[Step]:
-    """Play an episode at random: what each step took. Raises AssertionError where something does not hold."""
+    """Play an episode at random; yields the effort of each step. Raises AssertionError where a check fails."""
     rng, total = np.random.default_rng(seed), 0.0
     observation, info = env.reset(seed=seed)
     first, over = info.get("map_error"), False
@@ -117,7 +117,7 @@ def checked(env: Any, seed: int) -> Iterator[Step]:
 
 
 def check_covariance(covariance: np.ndarray) -> None:
-    """Raise AssertionError unless it is finite, symmetric, and positive semi-definite as correlations to 1e-9."""
+    """Raise AssertionError unless `covariance` is finite, symmetric and, to 1e-9, positive semi-definite."""
     assert np.isfinite(covariance).all(), "the covariance is not finite"
     assert np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0), "the covariance is not symmetric"
     assert (np.diag(covariance) >= 0.0).all(), "a variance is negative"

@@ -1,14 +1,14 @@
-"""Relocation on Victoria Park: right, wrong and no answer, inside the map and outside of it.
+"""Relocation on Victoria Park: right, wrong and no answers, inside and outside the map.
 
-The first half of the log makes the map, by SLAM with JCBB; the robot is kidnapped at scans of the
-second half. The reference is the least-squares trajectory of the whole log with the published identities, moved into
-the frame of the map by a rigid alignment of the labelled trunks within the laser's range of the scan, so that the map's
-own drift is no error. A scan is *inside* if three of its trunks at least are in the map; *outside* if the labels know
-the scan, none of its trunks is in the map, and no feature of the map lies within range ahead. Others are left out.
+The map is made from the first half of the log, by SLAM with JCBB; the robot is kidnapped at scans of the second half.
+The reference is the least-squares trajectory of the whole log with the published identities, moved to the frame of the
+map by a rigid alignment of the labelled trunks within the laser's range of the scan, so that the map's drift is no
+error. A scan is *inside* if at least three of its trunks are in the map; *outside* if it has labels, none of its trunks
+is in the map, and no feature of the map lies within range ahead. Other scans are left out.
 
-GCBB, random sampling and the feature index (built for each scan) search, with the trunk diameters that the laser
-measured and without. A pose is right within 1 m and 3°. Intervals are 95 %; scans of one log are not
-independent, so that they are narrower than they should be.
+The searches are GCBB, random sampling and the feature index (built for each scan), with the measured trunk diameters
+and without. A pose is right within 1 m and 3°. Intervals are 95 %; they are too narrow, since scans of one log are not
+independent.
 
     SLAM_GYM_DATA=... python benchmarks/recordings.py       # five minutes
 """
@@ -38,16 +38,16 @@ from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.types import Array, IntArray, Truth
 
-KNOWN = 3  # trunks in the map that a scan from inside has
-MISLABELLED = 5.0  # [m] a feature so far from its label's place was made of something else
-NEAR = Tolerance(1.0, math.radians(3.0))  # right answers err by centimetres, wrong ones by tens of metres
+KNOWN = 3  # least number of mapped trunks in a scan from inside
+MISLABELLED = 5.0  # [m] a feature this far from the place of its label has another source
+NEAR = Tolerance(1.0, math.radians(3.0))  # errors are centimetres for right answers, tens of metres for wrong ones
 
 PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
 
 
 class Place(NamedTuple):
-    """A map to be lost in."""
+    """A map with scans to relocate in it."""
 
     landmarks: Landmarks
     localities: Mapping[str, Locality | None]
@@ -55,24 +55,24 @@ class Place(NamedTuple):
 
 
 class HalfMap(NamedTuple):
-    """What SLAM has made of the first half of a log, and what the labels say of it."""
+    """The map of the first half of a log, with the labels of its features."""
 
     positions: Array  # (n, 2) [m]
-    sources: IntArray  # (n,) identity of each feature: that of the measurement it was made of
+    sources: IntArray  # (n,) identity of each feature, which is that of the measurement that started it
 
 
 def spread(items: Sequence[Any], count: int) -> list[Any]:
-    """At most `count` of the items, evenly spread."""
+    """At most `count` of the items, evenly spaced."""
     return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
 
 
 def reference(log: Recording) -> Smoothed:
-    """The least-squares optimum of a labelled log, started from the filter with the true association."""
+    """The least-squares optimum of a labelled log, started at the filter with true association."""
     return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
 
 
 def park(folder: Path, scans: int, steps: int | None) -> Place:
-    """Victoria Park mapped in the first half of its (first so many) steps; so many scans inside, as many outside."""
+    """Victoria Park, or its first `steps`, mapped in the first half; up to `scans` scans inside, as many outside."""
     log = victoria_park(folder).part(0, steps)
     optimum, half, slam = reference(log), len(log) // 2, Slam(slam_for(log))
     judged = JudgedSlam(slam, "jcbb")
@@ -91,7 +91,7 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
 
 
 def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
-    """Step k of the log with its place, or None where that is neither inside nor outside."""
+    """The scan of step k with its pose, or None where it is neither inside nor outside."""
     scan, sources = log.scan(k), log.sources_of(k)
     known = int(np.isin(sources[sources >= 0], mapped.sources).sum())
     if len(scan) < KNOWN or 0 < known < KNOWN or not (sources >= 0).any():
@@ -103,35 +103,35 @@ def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> P
 
 
 def into_map(optimum: Smoothed, mapped: HalfMap, pose: Array, reach: float) -> Array:
-    """Pose (3,) of the reference frame in that of the map, as the trunks around `pose` have it."""
+    """The pose (3,) of the reference frame in the frame of the map, by alignment of the trunks around `pose`."""
     place = dict(zip(optimum.ids.tolist(), optimum.positions))
     known = np.array([row for row, source in enumerate(mapped.sources.tolist()) if source in place])
     there = np.array([place[source] for source in mapped.sources[known].tolist()])
-    here, kept = mapped.positions[known], np.ones(len(known), bool)
+    here, inliers = mapped.positions[known], np.ones(len(known), bool)
     for _ in range(5):
-        away = np.hypot(*(transform(align_se2(there[kept], here[kept]), there) - here).T)
-        kept = away < max(MISLABELLED, 2.0 * float(np.median(away)))
-    near = kept & (np.hypot(*(there - pose[:2]).T) < reach)
-    chosen = near if near.sum() >= 3 else kept
+        errors = np.hypot(*(transform(align_se2(there[inliers], here[inliers]), there) - here).T)
+        inliers = errors < max(MISLABELLED, 2.0 * float(np.median(errors)))
+    near = inliers & (np.hypot(*(there - pose[:2]).T) < reach)
+    chosen = near if near.sum() >= 3 else inliers
     return align_se2(there[chosen], here[chosen])
 
 
-def without_sizes(known: Any) -> Any:
+def without_sizes(sized: Any) -> Any:
     """The same scan or map with all sizes unknown."""
-    unknown = np.full(len(known), math.nan)
-    return replace(known, sizes=unknown, size_variances=unknown.copy())
+    unknown = np.full(len(sized), math.nan)
+    return replace(sized, sizes=unknown, size_variances=unknown.copy())
 
 
 def attempts(place: Place, node_limit: int) -> pd.DataFrame:
-    """Every search under every locality on every scan, with sizes and without."""
+    """The results of every search under every locality on every scan, with sizes and without."""
     searches = {search.__name__: functools.partial(search, node_limit=node_limit)
                 for search in (gcbb, random_sampling, indexed)}  # fmt: skip
     rows = []
     for sizes, (name, search), locality in itertools.product((True, False), searches.items(), place.localities):
         landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
         for scan, pose, inside in place.scans:
-            asked = scan if sizes else without_sizes(scan)
-            answer, record = attempt(search, asked, landmarks, place.localities[locality])
+            shown = scan if sizes else without_sizes(scan)
+            answer, record = attempt(search, shown, landmarks, place.localities[locality])
             key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
             rows.append(key | record | {"right": inside and NEAR.holds(answer.pose, pose)})
     return pd.DataFrame(rows)
@@ -143,13 +143,13 @@ def main() -> None:
     if folder is None:
         return
     scans, limit, steps = (3, 2000, 1200) if a.quick else (a.scans, 20_000, None)
-    found = attempts(park(folder / "victoria_park", scans, steps), limit)
+    results = attempts(park(folder / "victoria_park", scans, steps), limit)
     rows, keys = [], ["sizes", "search"]
-    for key, group in found[found["locality"] == "covisibility"].groupby(keys, sort=False):
-        rows += [dict(zip(keys, key)) | count_answers(group, asked) for asked in (None, *range(3, 10))]
-    table("Answers by the number of pairings asked for, covisibility", rows)
+    for key, group in results[results["locality"] == "covisibility"].groupby(keys, sort=False):
+        rows += [dict(zip(keys, key)) | count_answers(group, least) for least in (None, *range(3, 10))]
+    table("Answers by the required number of pairings, covisibility", rows)
     rows, keys = [], [*keys, "locality"]
-    for key, group in found.groupby(keys, sort=False):
+    for key, group in results.groupby(keys, sort=False):
         row = dict(zip(keys, key)) | count_answers(group, None)
         rows.append(row | group[["nodes", "ms"]].median().to_dict() | {"limit hit": group["limit hit"].sum()})
     table("Localities under the rule, and effort", rows)

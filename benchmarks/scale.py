@@ -1,13 +1,13 @@
-"""What a step of SLAM costs, and the memory that the map takes, against its size; and local maps against one map.
+"""Time of a step of SLAM and memory of the map against its size, in one map and in local maps.
 
-The filter is exact at every size: one covariance of all features, of which the upper triangle is worked on. An update
-of k pairings takes 2k multiplications for each of its entries, so that time and memory grow with n². Every step is the
-whole of `Slam.step` with JCBB, ten pairings, in a map of one feature per 6 m². Beside it stand the update alone and one
-symmetric rank-20 product by BLAS on a matrix as large as the covariance, which is the least that such an update takes.
+The filter is exact at every size: it has one covariance of all features, and computes its upper triangle. An update
+with k pairings takes 2k multiplications for each entry, so that time and memory grow with n². Every step is a whole
+`Slam.step` with JCBB and ten pairings, in a map of one feature per 6 m². The table also has the update alone, and one
+symmetric rank-20 product by BLAS on a matrix as large as the covariance, the least time for such an update.
 
-The second table has drives over lanes of a field, step by step with JCBB: in one map a step costs as much as its
-square; in a local map, which is closed with so many features, it costs the same however far the robot has come. What is
-measured from two lanes stands in two local maps until they are joined, all at once by sparse least squares.
+The second table contains drives over the lanes of a field with JCBB. In one map, the time of a step grows with n²; in
+local maps, which are closed at a given size, it is constant. Features measured from two lanes are in two local maps
+until all maps are joined by sparse least squares.
 
     python benchmarks/scale.py [--features 100 1000 5000]     # five minutes
 """
@@ -32,12 +32,12 @@ REACH = 6.0  # [m] of the sensor
 AREA = 6.0  # [m²] for each feature
 STILL = Odometry.from_motion(np.zeros(3), 1e-3)
 DRIFT = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odometry of a step of the drive
-SIGMA, DETECTION = 0.03, 0.9  # [m] of a measurement; fraction of the features in reach that is reported
+SIGMA, DETECTION = 0.03, 0.9  # [m] of a measurement; fraction of the features in reach that is measured
 WARM_UP = 20  # steps of a drive that may still compile something
 
 
 def large_slam(features: int, rng: np.random.Generator) -> Slam:
-    """A robot in the middle of a map of so many features, all seen from one spot, neighbours seen together."""
+    """A robot in the middle of a map of `features` features, all seen from one place; neighbours are covisible."""
     slam = Slam(SlamSpec(reach=REACH, map=MapSpec(unconfirmed_age=None)))
     side = math.sqrt(AREA * features)
     points = rng.uniform(-side / 2, side / 2, (features, 2))
@@ -50,7 +50,7 @@ def large_slam(features: int, rng: np.random.Generator) -> Slam:
 
 
 def step_and_update(features: int, steps: int, rng: np.random.Generator) -> Record:
-    """Medians of one size of the map."""
+    """Median times in a map of one size."""
     before = resident()
     slam = large_slam(features, rng)
     near = np.argsort(np.hypot(*slam.map.positions.T))[:PAIRINGS]
@@ -71,12 +71,12 @@ def step_and_update(features: int, steps: int, rng: np.random.Generator) -> Reco
 
 
 def drive(count: int, per_map: int | None, seed: int) -> Record:
-    """A drive over so many features with one map (None) or local maps of so many, joined at its end."""
+    """A drive over `count` features with one map (None) or local maps of `per_map` features, joined at the end."""
     rng, side, before = np.random.default_rng(seed), math.sqrt(AREA * count), resident()
     features, way = rng.uniform(0.0, side, (count, 2)), lanes(side, 8.0, 0.5)
     spec = SlamSpec(reach=REACH)
     slam = Slam(spec) if per_map is None else LocalMapSlam(spec, per_map)
-    source: dict[int, int] = {}  # of each feature of the map, by its id
+    source: dict[int, int] = {}  # id of a map feature → true feature
     pose, times = way[0], []
     for waypoint in way:
         motion = relative(pose, waypoint) + rng.multivariate_normal(np.zeros(3), DRIFT)
@@ -84,8 +84,8 @@ def drive(count: int, per_map: int | None, seed: int) -> Record:
         seen = features_in_view(features, pose, REACH)
         seen = seen[rng.random(len(seen)) < DETECTION]
         points = observe(pose, features[seen]) + SIGMA * rng.standard_normal((len(seen), 2))
-        step, taken = timed(slam.step, Odometry(motion, DRIFT), Scan.from_points(points, sigma=SIGMA), jcbb)
-        times.append(taken)
+        step, microseconds = timed(slam.step, Odometry(motion, DRIFT), Scan.from_points(points, sigma=SIGMA), jcbb)
+        times.append(microseconds)
         source |= dict(zip(step.ids[step.created].tolist(), seen[step.created].tolist()))
     maps = [slam.map] if per_map is None else list(slam.maps)
     bases = [np.zeros(3)] if per_map is None else list(slam.bases)
@@ -93,17 +93,17 @@ def drive(count: int, per_map: int | None, seed: int) -> Record:
     places = transform(way[0], np.concatenate([transform(base, m.positions) for base, m in zip(bases, maps)]))
     row: Record = {"features": count, "map": "one" if per_map is None else "local", "maps": len(maps)}
     row |= {"step ms": 1e-3 * np.median(times[WARM_UP:]), "last tenth ms": 1e-3 * np.median(times[-len(times) // 10 :])}
-    row |= {"memory MB": resident() - before} | off(ids, places, features, source)
+    row |= {"memory MB": resident() - before} | map_errors(ids, places, features, source)
     if isinstance(slam, LocalMapSlam):
-        whole, taken = timed(slam.smoothed)
-        found = off(whole.ids, transform(way[0], whole.positions), features, source)
-        row |= {"join s": 1e-6 * taken} | {f"{name}, joined": value for name, value in found.items()}
+        joined, microseconds = timed(slam.smoothed)
+        errors = map_errors(joined.ids, transform(way[0], joined.positions), features, source)
+        row |= {"join s": 1e-6 * microseconds} | {f"{name}, joined": value for name, value in errors.items()}
     return row
 
 
-def off(ids: Array, places: Array, features: Array, source: dict[int, int]) -> Record:
-    """By how much mapped features are off, root mean square, each against the one it was started from; duplicates."""
-    sources = np.array([source[one] for one in ids.tolist()])
+def map_errors(ids: Array, places: Array, features: Array, source: dict[int, int]) -> Record:
+    """RMS error of mapped features, each against the true feature from which it was started; number of duplicates."""
+    sources = np.array([source[feature] for feature in ids.tolist()])
     error = np.hypot(*(places - features[sources]).T)
     return {"off m": math.sqrt(float(np.mean(error**2))), "duplicates": len(ids) - len(np.unique(sources))}
 

@@ -1,9 +1,9 @@
 """Explore-v0 steps per second in `twist` mode, against map size.
 
-One process, one thread, compiled beforehand. Episodes on test worlds are driven by the map's own exploration (nearest
-frontier, planned outside the clock); only `env.step` is timed, by the clock of the processor in this thread. Every step
-is the whole tick: physics, scan, beams, odometry, EKF with full covariance, association, covisibility, explored grid,
-map error, observation, info. Machines differ, and so does what else they do: compare within a run, or runs in turns.
+One process with one thread, after compilation. Episodes in test worlds are driven to the nearest frontier, whose
+planning is not timed; only `env.step` is, in CPU time of this thread. Every step is a whole tick: physics, scan, beams,
+odometry, EKF with full covariance, association, covisibility, explored grid, map error, observation, info. Machines and
+their load differ, so compare within a run, or alternate runs.
 
     python benchmarks/step.py [--associator marginal --scenario drift-2]      # two minutes
 """
@@ -23,12 +23,12 @@ from slam_gym.simulation.association_runs import nearest_frontier
 from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.goals import Places, propose
 
-SMALL = 100  # features: the headline is of steps in maps of up to so many
+SMALL = 100  # features; the headline is for steps in maps of at most this size
 EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
 
 
 def commands_of(episode: Any) -> Iterator[Command]:
-    """What drives to one nearest frontier after the other."""
+    """The commands that drive to one nearest frontier after the other."""
     rng, places = np.random.default_rng(0), Places()
     while True:
         goals = propose(episode.scenario, episode.slam.map, episode.grid, places, episode.tried)
@@ -37,12 +37,12 @@ def commands_of(episode: Any) -> Iterator[Command]:
 
 
 def explore(env: Any, world: int) -> Iterator[float]:
-    """An episode in a test world: the time [µs] of each step."""
+    """Run an episode in a test world; yields the time [µs] of each step."""
     env.reset(seed=world, options={"world": world})
     over, driven = False, commands_of(env.episode)
     while not over:
-        (_, _, over, _, _), taken = timed(env.step, np.array(next(driven), np.float32))
-        yield taken
+        (_, _, over, _, _), microseconds = timed(env.step, np.array(next(driven), np.float32))
+        yield microseconds
 
 
 def row(name: str, steps: pd.DataFrame) -> Record:
@@ -59,11 +59,11 @@ def main() -> None:
     list(explore(env, 0))  # compiles
     worlds = range(1 if a.quick else a.episodes)
     steps = pd.DataFrame(
-        {"µs": taken, "features": env.episode.slam.map.n} for world in worlds for taken in explore(env, world)
+        {"µs": time, "features": env.episode.slam.map.n} for world in worlds for time in explore(env, world)
     )
     rows = [row("all", steps), row(f"up to {SMALL}", steps[steps["features"] <= SMALL])]
     classes = steps.groupby(pd.cut(steps["features"], EDGES), observed=True)
-    table("Steps by the size of the map", rows + [row(str(size), own) for size, own in classes if len(own) >= 50])
+    table("Steps by the size of the map", rows + [row(str(size), group) for size, group in classes if len(group) >= 50])
 
 
 if __name__ == "__main__":

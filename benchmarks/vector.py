@@ -1,7 +1,7 @@
-"""Explore-v0, many worlds at once: ticks per second beside one world, and beside Gymnasium's own vectors.
+"""Explore-v0 with many worlds at once: ticks per second, compared with one world and with Gymnasium's own vectors.
 
-All take turns in one run, block by block, by the clock: medians over the blocks. Twists are drawn blindly, goals among
-the legal ones; a goal takes many ticks, hence ticks are counted.
+All take turns in one run, block by block, in wall-clock time; the figures are medians over the blocks. Twists and legal
+goals are drawn at random. Ticks are counted, not steps, since a goal takes many ticks.
 
     python benchmarks/vector.py [--worlds 8 --workers 2 --blocks 16]      # three minutes
 """
@@ -22,14 +22,14 @@ ID = "slam_gym:slam_gym/Explore-v0"  # imports the package in a fresh process, t
 
 
 def actions(envs: Any, infos: dict[str, Any], rng: np.random.Generator) -> Any:
-    """Legal goals, or twists that lean forward."""
+    """Random legal goals, or twists that mostly drive forward."""
     if isinstance(envs.single_action_space, gym.spaces.Discrete):
         return np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
     return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5], (envs.num_envs, 2)), -1.0, 1.0).astype(np.float32)
 
 
 def blocks_of(envs: Any, ticks: int, seed: int) -> Iterator[float]:
-    """Ticks per second of all worlds together, block by block of so many ticks at least."""
+    """Yield the ticks per second of all worlds together, in blocks of at least `ticks`."""
     rng = np.random.default_rng(seed)
     _, infos = envs.reset(seed=seed)
     while True:
@@ -43,7 +43,7 @@ def blocks_of(envs: Any, ticks: int, seed: int) -> Iterator[float]:
 def throughput(
     scenario: str, action: str, worlds: int, workers: int, blocks: int, ticks: int, seed: int
 ) -> list[Record]:
-    """One world beside many, in this process and in others; the first block, which compiles, does not count."""
+    """The rates of one world and of many, in this process and in others, without the first block, which compiles."""
     arguments = {"scenario": scenario, "action": action, "associator": "jcbb"}
     native = {"vectorization_mode": "vector_entry_point", **arguments}
     kinds = {
