@@ -158,7 +158,7 @@ def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
     """The graph of n nodes with `edges`, each listed once. Raises ValueError unless each joins two different nodes."""
     pairs = np.asarray(edges.pairs, np.int64).reshape(-1, 2)
     if np.any((pairs < 0) | (pairs >= n)) or np.any(pairs[:, 0] == pairs[:, 1]):
-        raise ValueError(f"edges: not pairs of two different ones of {n} nodes")
+        raise ValueError(f"edges: not all of them join two different nodes of {n}")
     graph = CovisibilityGraph()
     graph.add(n)
     ends, others = np.concatenate([pairs, pairs[:, ::-1]]).T

@@ -189,7 +189,7 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     S = np.ascontiguousarray(W[:, first] - W[:, second])
     S[np.diag_indices(len(S))] += ROUNDING * (P[first, first] + P[second, second])
     if not cholesky(S):
-        raise ValueError("pairs: the covariance of what is to be equal is singular")
+        raise ValueError("pairs: the covariance of their differences is singular")
     nu = mean[second] - mean[first]
     whiten(S, W, nu)
     out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)

@@ -201,7 +201,7 @@ class StochasticMap:
         """x_R ← x_R ⊕ u, and its covariance. Raises ValueError where the odometry or its covariance is invalid."""
         self.moved()
         if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
-            raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+            raise ValueError(f"odometry: not finite, or its covariance is invalid: {odometry}")
 
     def landmarks(self) -> Landmarks:
         """A copy of the features with full covariance (2n, 2n), for searches without a prior on the pose."""
@@ -418,6 +418,6 @@ def refused_update(refused: int, scan: Scan, features: IntArray, n: int) -> Valu
 def bad_measurement(scan: Scan, i: int) -> ValueError:
     """The error for a measurement i that can neither update nor start a feature."""
     return ValueError(
-        f"scan: measurement {i} is not finite, or its covariance is none: "
+        f"scan: measurement {i} is not finite, or its covariance is invalid: "
         f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"
     )

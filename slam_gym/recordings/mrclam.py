@@ -91,7 +91,7 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
         landmarks = _table(folder, "Landmark_Groundtruth.dat", 5, counts=1)  # subject, x, y [m], and their σ
         measured = measured[(measured[:, 0] >= truth[0, 0]) & (measured[:, 0] <= truth[-1, 0])]
         if len(measured) == 0:
-            raise RecordingError("nothing was measured while the Vicon saw the robot")
+            raise RecordingError("there is no measurement within the times of the ground truth")
         first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
         times = measured[first, 0]
         motions, motion_covariances = _driven(times, odometry, ROAMING)
@@ -216,7 +216,7 @@ def stationary(path: str | Path) -> Recording:
     if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
         raise RecordingError(f"{path}: variable 'groundtruth': the groups are not numbered 1 … {len(truth)}")
     for column, known, what in ((0, truth[:, 0], "group"), (1, landmarks[:, 0], "landmark")):
-        refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} that is there")
+        refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} in this file")
     measured = measured[np.argsort(measured[:, 0], kind="stable")]
     times = np.arange(len(truth), dtype=np.float64)
     with naming(path):

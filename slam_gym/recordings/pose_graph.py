@@ -124,7 +124,7 @@ def _recording(
         raise RecordingError("no pose, or no measurement of a landmark")
     pairs = list(itertools.pairwise(poses))
     if further := sorted(set(by_pair) - set(pairs)):
-        raise RecordingError(f"edge {further[0]} joins poses that do not follow each other")
+        raise RecordingError(f"edge {further[0]} joins poses that are not consecutive")
     if missing := [pair for pair in pairs if pair not in by_pair]:
         raise RecordingError(f"pose {missing[0][1]} is not reached from pose {missing[0][0]}")
     moved = [by_pair[pair] for pair in pairs]

@@ -59,7 +59,7 @@ def survey(plan: FloorPlan, scenario: Scenario) -> Site:
         raise ValueError(f"floor plan {plan.name!r}: has no features, so there is nothing to map")
     seen = observable(plan, index, cells, scenario.sensor.range)
     if not seen.any():
-        where = "can be seen from where the robot can get to"
+        where = "can be seen from the cells that the robot can reach"
         raise ValueError(f"floor plan {plan.name!r}: none of its {len(seen)} features {where}")
     return Site(plan, index, cells, seen)
 

@@ -163,7 +163,7 @@ class LocalMapSlam:
         return same_local_map(self.map_of(m))
 
     def covisible(self, m: StochasticMap | Smoothed, hops: int = 1) -> Locality:
-        """The locality of features that were seen covisible_ids in any local map; see `mapping.locality.covisible`.
+        """The locality of features that were seen together in any local map; see `mapping.locality.covisible`.
 
         `m` must be the map that was joined last. Raises ValueError where it holds other features.
         """

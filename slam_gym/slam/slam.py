@@ -99,7 +99,7 @@ class Slam:
             self.tracker = Tracker(self.spec.lost_fraction, self.spec.lost_scans, self.spec.min_expected)
         if atlas is not None:
             if relocate is None:
-                raise ValueError("atlas: a robot that is not searched for when it is lost has no use for one")
+                raise ValueError("atlas: needs `relocate`, which finds a lost robot")
             self.atlas = Atlas(
                 atlas, relocate, self.spec.max_chance_probability, self.spec.start_features_from_rejected
             )
@@ -312,8 +312,8 @@ class Slam:
             return
         self._warned = True
         warnings.warn(
-            f"SlamSpec.reach={reach} m, but a scan measures at {beyond:.1f} m and more: features so far "
-            "away are started anew with every scan and never found again; with reach=None it is taken from the scans",
+            f"SlamSpec.reach={reach} m, but a scan measures at {beyond:.1f} m and more: features so far away are never "
+            "offered for pairing, and every scan starts them again; reach=None takes the reach from the scans",
             stacklevel=4,
         )
 
