@@ -63,7 +63,7 @@ class SurveyedField:
     map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
-        """One of `LOCALITIES`. Local maps: features seen during the same one; joined: each belongs to its oldest map."""
+        """One of `LOCALITIES`. Local maps: features seen during the same one; joined: each belongs to the oldest."""
         return {
             "covisibility": lambda: covisible(self.in_scan),
             "two hops": lambda: covisible(self.in_scan, hops=2),
