@@ -3,8 +3,7 @@
 Minimises Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) over partial assignments γ, which is the same as minimising
 Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c reduce it. They are collected along x, then assigned
 by shortest augmenting paths (Jonker and Volgenant 1987) over this sparse graph, where a row may also stay unassigned at
-cost 0. A row whose nearest column is nearest to no other row is assigned without a search; in a good map almost all
-rows are.
+cost 0. A row whose nearest column is still free is assigned to it without a search, in a good map almost all rows.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 @dataclass(frozen=True)
 class Noise:
-    """A noise model, which the log does not contain; chosen by the author on all robots of set 6.
+    """A noise model, which the log does not contain; it was chosen on all robots of set 6.
 
     The odometry is the commanded motion, which the robots carry out with a delay, and not fully. Variances of the
     motion add up with time. The σ of a barcode grows with its range, and is 1.5 times that of the errors by Vicon,

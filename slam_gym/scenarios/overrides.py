@@ -24,8 +24,8 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
     """The scenario with some fields changed, e.g. `{"sensor.range": 4.0, "dynamics.people": 3, "generator.rooms": 4}`.
 
     A name leads through the fields of dataclasses to a bool, a number or a string. `None` is allowed for fields that
-    may be None. A field of a dataclass that is None, such as `kidnapping.at` in most scenarios, is changed in a default
-    dataclass. All changes of one dataclass are made at once, so their order does not matter.
+    may be None. Where a dataclass is None, as `kidnapping` is in most scenarios, a name such as `kidnapping.at` changes
+    its defaults. All changes of one dataclass are made at once, so their order does not matter.
 
     Raises ValueError, naming the override, for an unknown field (it lists the known ones), for a value of the wrong
     type or a number that is not finite, and for values that the dataclasses themselves reject.

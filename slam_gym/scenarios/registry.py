@@ -193,15 +193,15 @@ GENERIC = SlamSpec(
     max_chance_probability=0.05,
     start_features_from_rejected=True,
 )
-"""Settings for logs of other kinds; the reach is taken from the scans. With a limited field of view, a returning robot
-first sees a single old feature, or an unmapped one beside it."""
+"""Settings for logs without settings of their own; the reach is taken from the scans. With a limited field of view, a
+returning robot first sees a single old feature, or an unmapped one beside it."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
 """A trunk must be seen in five of twenty scans. With two sightings, the map of the first half has 118 more features, of
 which 23 are labelled trees; the trajectory is the same."""
 
 MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-9)
-"""Features are never removed, and the gate is wide: a robot may see a barcode again only after minutes of drift."""
+"""Unconfirmed features are kept, and the gate is wide: a robot may see a barcode again only after minutes of drift."""
 
 SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 """Settings by the first part of a recording's name."""

@@ -210,7 +210,7 @@ class Episode:
 
 
 def turned(base: Array, covariance: Array) -> Array:
-    """The covariance (3, 3) in W of a pose with `covariance` in B, whose pose in W is `base`."""
+    """Rotate the `covariance` (3, 3) of a pose from B into W; `base` (3,) is the pose of B in W."""
     turn = np.eye(3)
     c, s = math.cos(base[2]), math.sin(base[2])
     turn[:2, :2] = [[c, -s], [s, c]]

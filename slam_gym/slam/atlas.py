@@ -15,10 +15,10 @@ feature, and the recent part of the map grows all the same. Associators that wei
 already refuse ambiguous pairings, and would pair too little if more were rejected. With that setting the same rules
 hold for them as for all others, the rule for new features included.
 
-**Second map.** A robot that was lost for some scans goes on in a new map. The base of that map is the robot's pose by
-odometry, so that coordinates remain roughly those of B; in the new map, the pose is known exactly. The recent part of
-this map is searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative
-relation, the paired features are made equal, and the robot goes on in the joined map.
+**Second map.** A robot that was lost for some scans goes on in a new map. It starts there at its pose by odometry, so
+that coordinates remain roughly those of B; in the new map, this pose is known exactly. The recent part of this map is
+searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative relation, the paired
+features are made equal, and the robot goes on in the joined map.
 
 **Ids** are unique over all maps and are never given twice; of features that are fused, the older id stays. The features
 of a map that becomes inactive are `removed` in the `SlamStep` of that moment, and `returned` when the map is joined.
