@@ -40,7 +40,7 @@ class EntryProcess:
     """
 
     def __init__(self, role: str, name: str, limit: float = LIMIT) -> None:
-        self._identity, self._limit, self._next_limit = (role, name), limit, START
+        self._entry, self._limit, self._next_limit = (role, name), limit, START
         self._loop = asyncio.new_event_loop()
         self._process: asyncio.subprocess.Process | None = None
         atexit.register(self.close)
@@ -56,7 +56,7 @@ class EntryProcess:
     def refuse(self, reason: object) -> EntryError:
         """End the process; returns the error that ends the episode."""
         self.close()
-        return EntryError(f"{' '.join(self._identity)}: {str(reason)[:300]}")
+        return EntryError(f"{' '.join(self._entry)}: {str(reason)[:300]}")
 
     def close(self) -> None:
         """End the process."""
@@ -69,14 +69,7 @@ class EntryProcess:
         path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
         pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
         child = asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "agents.ranking.child",
-            *self._identity,
-            stdin=pipe,
-            stdout=pipe,
-            limit=_LONGEST,
-            env=env,
+            sys.executable, "-m", "agents.ranking.child", *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
         )
         self._process, self._next_limit = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
