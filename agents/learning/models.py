@@ -166,7 +166,6 @@ def branch_weights(policy: Any, about: About) -> Weights:
         arrays[name] = layer.weight.detach().numpy().copy()
         arrays["w0" if name == "w" else name.lower()] = layer.bias.detach().numpy().copy()
     walk = known["candidates"], ORDERS.index(known["order"]), COMPATIBILITIES.index(known["compatibility"])
-    arrays["boldness"] = np.zeros(1, np.float32)
     arrays["walk"] = np.array(walk, np.int64)
     card = Card(ppo.VERSION, ppo.INPUTS, {}, tuple(known["scenario"]), (known["seed"],), known["command"], {})
     return Weights(card, {name: arrays[name] for name in ppo.SHAPES})

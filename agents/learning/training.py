@@ -39,12 +39,16 @@ from agents.learning.policies import (
 )
 from agents.options import Training
 from slam_gym import weights
+from slam_gym.geometry import compose
+from slam_gym.simulation.association_runs import DrivenRun
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
 
 LOGGED = {"goal": ("map_error", "coverage"), "twist": ("map_error", "coverage"), "branch": ("score", "map_error")}
 """What is logged of an episode, from its last `info`, by what the policy decides."""
+
+ASTRAY = 0.7  # [m] of a robot from where it believes to be, which ends an episode of association in training
 
 MODEL, WEIGHTS, CHECKPOINTS = "model.zip", "associator.npz", "checkpoints"
 _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
@@ -63,15 +67,33 @@ class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=world, options={"world": world})
 
 
+class EndsAstray(gym.Wrapper[Any, Any, Any, Any]):
+    """Truncates an episode of Associate-v0 once the robot is farther than `ASTRAY` from where it believes to be.
+
+    On a broken map most pairings are wrong. An agent that had to go on there would make most of its decisions there and
+    learn to refuse whatever is uncertain, and what it refuses makes the next scan more uncertain still.
+    """
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        run: Any = self.env.unwrapped.run  # type: ignore[attr-defined]
+        if isinstance(run, DrivenRun) and run.estimates:
+            error = compose(run.base, run.estimates[-1]) - run.world.pose
+            truncated |= bool(np.hypot(error[0], error[1]) > ASTRAY)
+        return observation, reward, terminated, truncated, info
+
+
 Arguments = ExploreArguments | AssociateArguments
 
 
 def make(decision: Decision, arguments: Arguments, scale: float | None = None) -> gym.Env[Any, Any]:
     """The environment; its rewards scaled, those of branches also by the number of scans, which differs between
-    scenarios. A policy of branches does not see the budget, which it would not as an associator."""
+    scenarios. A policy of branches does not see the budget, which it would not as an associator; episodes that it is
+    trained on end when the robot is astray."""
     env = arguments.make(decision)
     if decision == "branch":
         env = FilterObservation(env, [name for name in env.observation_space if name != "budget"])
+        env = env if scale is None else EndsAstray(env)
     env, inner = Monitor(env, info_keywords=LOGGED[decision]), env.unwrapped
     if scale is None:
         return env

@@ -56,7 +56,8 @@ class AssociateEnv(BaseEnv):
     ## Description
     A baseline drives a robot through a scenario. At every scan the agent walks the interpretation tree: level by level
     it pairs a measurement with a feature of the map, or with nothing (`*`). The hypothesis that results updates the
-    map, for better or worse. Levels with one legal branch, and scans without a choice, are played by the environment.
+    map, for better or worse; which of the unpaired measurements start features is decided as in `Walk.hypothesis`.
+    Levels with one legal branch, and scans without a choice, are played by the environment.
 
     ## Action space
     `Discrete(K + 1)` with K = `candidates`. Action a < K pairs the current measurement with the a-th of the legal

@@ -7,10 +7,8 @@ else 0), and q the rest of the observation,
     e_k = max(0, B max(0, A r_k + a) + b),   s = (max(0, C q + c), max over legal k of e_k),
     score_k = wᵀ max(0, D (e_k, s) + d) + w₀,
 
-and the legal branch of the greatest score is taken, that of `*` lowered by `boldness`: an agent that is paid for each
-decision at once does not know that what it refuses makes the next scan harder, and refuses too much. Every candidate
-passes through the same weights, so there may be any number of them. It runs as plain numpy: no learning library is
-needed.
+and the legal branch of the greatest score is taken. Every candidate passes through the same weights, so there may be
+any number of them. It runs as plain numpy: no learning library is needed.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ from slam_gym.association.walks import ORDERS, Observation
 from slam_gym.types import Array, BoolArray, Hypothesis, Scan
 from slam_gym.weights import load
 
-VERSION = 1
+VERSION = 2
 INPUTS = tuple(
     f"{part}: {field}"
     for part, fields in (("candidate", CANDIDATE_FIELDS), ("measurement", MEASUREMENT_FIELDS), ("path", PATH_FIELDS))
@@ -39,7 +37,7 @@ _ROW, _REST = len(CANDIDATE_FIELDS), len(MEASUREMENT_FIELDS) + len(PATH_FIELDS)
 _LEGAL = CANDIDATE_FIELDS.index("legal")
 SHAPES = {
     "A": (-1, _ROW), "a": (-1,), "B": (-1, -1), "b": (-1,), "C": (-1, _REST), "c": (-1,), "D": (-1, -1), "d": (-1,),
-    "w": (1, -1), "w0": (1,), "boldness": (1,), "walk": (3,),
+    "w": (1, -1), "w0": (1,), "walk": (3,),
 }  # fmt: skip
 """The arrays of weights. `walk`: the candidates on offer, the order and the compatibility that they were trained with,
 the latter two by their place in `ORDERS` and `COMPATIBILITIES`."""
@@ -65,7 +63,6 @@ class BestBranch:
         rest = _layer(own["C"], own["c"], np.concatenate([observation["measurement"], observation["path"]]))
         shared = np.broadcast_to(np.concatenate([rest, each.max(axis=0)]), (len(rows), len(rest) + each.shape[1]))
         scored: Array = _layer(own["D"], own["d"], np.hstack([each, shared])) @ own["w"][0] + own["w0"]
-        scored[candidates] -= own["boldness"][0]
         return scored
 
 

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slam_gym.association.compatibility import Candidates, individual
+from slam_gym.association.compatibility import Candidates, chi2_gate, individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.observation import (
     Choice,
@@ -19,13 +19,17 @@ from slam_gym.association.tracking.observation import (
 from slam_gym.association.tree import (
     add_pairing,
     added_by,
+    as_hypothesis,
     decided,
-    hypothesis,
     interpretation_tree,
     root,
+    root_of,
 )
 from slam_gym.association.walks import ORDERS, Observation, Order
-from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Scan
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
+
+NEW_CONFIDENCE, FEWEST_PAIRED, SHARE_PAIRED = 0.99999, 5, 0.8
+"""When a walk says which measurements start features, and by which gate: see `Walk.hypothesis`."""
 
 Compatibility = Literal["joint", "individual"]
 """What makes a branch legal: that the path stays jointly compatible and takes no feature twice; or D²_ij alone."""
@@ -146,9 +150,32 @@ class Walk:
         self._proceed()
 
     def hypothesis(self) -> Hypothesis:
-        """The answer that the path amounts to, with `*` for what is undecided."""
+        """The answer that the path amounts to, with `*` for what is undecided.
+
+        At a leaf it says which measurements are new: those that are unpaired and, given all pairings of the path,
+        compatible with no feature in reach (confidence `NEW_CONFIDENCE`). Without the pairings, a robot that hardly
+        knows its heading finds every measurement compatible with some feature, and starts none. Where fewer than
+        `FEWEST_PAIRED` measurements are paired, or less than `SHARE_PAIRED` of the scan, as in most wrong hypotheses,
+        `new` is None: the rule of `Slam` decides, as it does where features may be taken twice.
+        """
         effort = Effort(self.level, self.candidates.tests, self._tests)
-        return hypothesis(self.tree, self.node, effort, exclusive=self.joint)
+        relied_on = self.joint and self.done and self.pairings >= max(FEWEST_PAIRED, SHARE_PAIRED * self.tree.levels)
+        new = self._new() if relied_on else None
+        return as_hypothesis(self.tree.prediction, self.decided, self.distance, effort, exclusive=self.joint, new=new)
+
+    def _new(self) -> BoolArray:
+        """(m,) which measurements are unpaired and compatible with nothing, given the path."""
+        scan, prediction, decided = self.tree.scan, self.tree.prediction, self.decided
+        new: BoolArray = decided == UNPAIRED
+        if not new.any():
+            return new
+        near = individual(scan, prediction, NEW_CONFIDENCE)
+        pairings = interpretation_tree(scan, prediction, near).pairings
+        node = root_of(pairings)
+        for c in np.flatnonzero(decided[near.measured] == near.rows[near.slots]):
+            node = add_pairing(pairings, node, int(c), 0)
+        new[near.measured[node.added < chi2_gate(2, NEW_CONFIDENCE)]] = False
+        return new
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""

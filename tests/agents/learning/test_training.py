@@ -20,11 +20,12 @@ from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run
 from agents.learning.cloning import clone
 from agents.learning.models import load_policy, read_about
 from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters, make_algorithm
-from agents.learning.training import HELD_OUT, WEIGHTS, make, train
+from agents.learning.training import ASTRAY, HELD_OUT, WEIGHTS, make, train
 from agents.options import Training
 from agents.record_decisions import decisions
 from slam_gym.association.tracking.ppo import walk_by
 from slam_gym.envs.observation import GOAL_FIELDS
+from slam_gym.geometry import compose
 from slam_gym.scenarios import SPLITS
 
 DRIVE = ExploreArguments("office-small", split="train", overrides=(("budget", 60),))
@@ -132,6 +133,19 @@ def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
     observation, info = env.reset(seed=4)
     mask = info["action_mask"]
     assert again.policy(observation, mask) == associate.policy(observation, mask)
+
+
+def test_in_training_an_episode_of_association_ends_where_the_robot_is_astray():
+    env, over, errors = make("branch", AssociateArguments("drift-3", split="train"), 1.0), False, [0.0]
+    env.reset(seed=1)
+    while not over:
+        legal = np.flatnonzero(env.unwrapped.action_masks())
+        _, _, terminated, truncated, _ = env.step(legal[max(len(legal) - 2, 0)])  # the farthest feature on offer
+        run = env.unwrapped.run
+        errors += [np.hypot(*(compose(run.base, estimate) - run.world.pose)[:2]) for estimate in run.estimates[-1:]]
+        over = terminated or truncated
+    assert truncated and not terminated
+    assert errors[-1] > ASTRAY >= max(errors[:-1])
 
 
 def test_a_clone_decides_as_its_associator():

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from slam_gym.association.policy import from_policy, greedy
-from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
+from slam_gym.association.tracking.walk import (
+    COMPATIBILITIES,
+    FEWEST_PAIRED,
+    NEW_CONFIDENCE,
+    ORDERS,
+    SHARE_PAIRED,
+    Walk,
+)
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
@@ -102,3 +109,27 @@ def test_bad_arguments_are_refused_by_name(options, message):
         Walk(*next(problems(1)), **options)
     with pytest.raises(ValueError, match=message):
         from_policy(greedy, **options)
+
+
+def test_new_is_what_fits_nothing_given_all_pairings():
+    rng, gate, seen = np.random.default_rng(5), oracles.gate(2, NEW_CONFIDENCE), {True: 0, False: 0}
+    for scan, prediction in problems(60, m=8, n=9):
+        walk, pairs = Walk(scan, prediction), []
+        while not walk.done:
+            action = walk.K if rng.random() < 0.1 else greedy(walk.observation(), walk.mask)
+            if action < walk.K:
+                pairs.append((walk.measurement, int(walk.rows[action])))
+            walk.take(action)
+        new, paired = walk.hypothesis().new, dict(pairs)
+        if len(pairs) < max(FEWEST_PAIRED, SHARE_PAIRED * len(scan)):
+            assert new is None
+            continue
+        before = oracles.distance(scan, prediction, pairs)
+        for i in range(len(scan)):
+            alone = [oracles.distance(scan, prediction, [(i, j)]) for j in range(len(prediction))]
+            given = [oracles.distance(scan, prediction, [*pairs, (i, j)]) - before for j in range(len(prediction))]
+            fits = any(a < gate and b < gate for a, b in zip(alone, given))
+            assert new[i] == (i not in paired and not fits)
+            seen[bool(new[i])] += 1
+    assert min(seen.values()) > 10
+    assert Walk(scan, prediction, compatibility="individual").hypothesis().new is None
