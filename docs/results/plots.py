@@ -18,6 +18,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+MINUTES = 6.7  # of an idle core that a million decisions of training take
 FOLDER = Path(__file__).parent
 WIDTH = 7.2  # [in], so that 10 pt are 13 px on the page
 THEMES = {
@@ -138,16 +139,20 @@ def learned(theme: dict[str, str]) -> Figure:
 def training(theme: dict[str, str]) -> Figure:
     data, colours = table("training"), {"true_association": "ink", "marginal": "blue", "learned": "grey", "jcbb": "ink"}
     figure, axes = plt.subplots(figsize=(WIDTH, 3.2))
-    own = data[data.who == "ppo"]
-    axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], label="in training, drawn")
-    greedy = own.dropna(subset="held_out_return")
-    axes.plot(greedy.decisions / 1e6, greedy.held_out_return, "o", color=theme["red"], label="held-out worlds, greedy")
+    seeds = data[data.seed.notna()]
+    for seed, own in seeds.groupby("seed"):
+        label = "in training, three seeds" if seed == 0 else None
+        axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], lw=1, label=label)
+    greedy = seeds.dropna(subset="held_out_return").groupby("decisions").held_out_return.mean()
+    axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], label="held-out worlds, greedy, their mean")
     for who, colour in colours.items():
         level = data[data.who == who].held_out_return.iloc[0]
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
         shift = {"marginal": 0.05, "learned": -0.05}.get(who, 0.0)  # so that the two names do not overlap
-        axes.text(3.04, level + shift, NAMES.get(who, who), va="center")
-    axes.set(xlabel="million decisions (3: twenty minutes)", ylabel="score", xlim=(0, 3.0), ylim=(-0.8, 1.05))
+        axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
+    axes.set(xlabel="million decisions", ylabel="score", xlim=(0, 2.0), ylim=(-0.8, 1.05))
+    minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))
+    minutes.set_xlabel("minutes of an idle core")
     axes.legend(loc="lower right")
     return figure
 
