@@ -33,6 +33,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from slam_gym.association.acceptance import are_accidental
 from slam_gym.association.compatibility import plain
@@ -125,15 +126,19 @@ class Atlas:
         if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
             return Accepted(hypothesis, StartRule.of(hypothesis))
         rejected = are_accidental(scan, prediction, hypothesis.features, self.max_chance_probability)
-        features, new = np.where(rejected, UNPAIRED, hypothesis.features), None if weighs_all else hypothesis.new
-        dof = hypothesis.dof - 2 * int(rejected.sum())
-        if rejected.any() and self.starts_from_rejected:
+        if not rejected.any():
+            believed = replace(hypothesis, new=None) if weighs_all else hypothesis
+            return Accepted(believed, StartRule.of(believed))
+        features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
+        remaining = replace(
+            hypothesis, features=features, joint_distance=_joint_distance(scan, prediction, features), dof=dof, new=None
+        )
+        if self.starts_from_rejected:
             new, near = np.empty(len(scan), np.bool_), prediction.near
             expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
             learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
-            return Accepted(replace(hypothesis, features=features, dof=dof, new=new), StartRule.FITS_NOTHING_NEAR)
-        remaining = replace(hypothesis, features=features, dof=dof, new=new)
-        return Accepted(remaining, StartRule.of(remaining))
+            return Accepted(replace(remaining, new=new), StartRule.FITS_NOTHING_NEAR)
+        return Accepted(remaining, StartRule.FITS_NOTHING)
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""
@@ -193,6 +198,15 @@ class Atlas:
     def _recorded(self, kind: Literal["loop", "duplicates", "maps"], step: int, fusion: Fusion) -> Fusion:
         self.fusions.append(FusionRecord(kind, step, fusion.ids))
         return fusion
+
+
+def _joint_distance(scan: Scan, prediction: Prediction, features: IntArray) -> float:
+    """D²_H of the pairings of measurements with map features (m,), or UNPAIRED."""
+    paired = np.flatnonzero(features != UNPAIRED)
+    rows = np.searchsorted(prediction.features, features[paired])
+    innovation = (scan.points[paired] - prediction.positions[rows]).ravel()
+    S = prediction.joint(rows) + block_diag(*scan.covariances[paired]) if len(rows) else np.empty((0, 0))
+    return float(innovation @ np.linalg.solve(S, innovation))
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:

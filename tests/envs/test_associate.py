@@ -8,11 +8,13 @@ import pytest
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.policy import from_policy, greedy
+from slam_gym.association.tracking.walk import Walk
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.association_runs import CORRIDOR
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.slam import Slam
+from slam_gym.types import UNPAIRED
 from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
@@ -146,7 +148,17 @@ def test_classical_associators_reach_the_same_map_through_the_environment(associ
     player, direct = Playing(associator), Slam(CORRIDOR.slam)
     for _ in episode(env, player):
         pass
-    hypotheses = [direct.step(odometry, scan, associator).hypothesis for odometry, scan, _ in fixed_noise(None)]
+
+    def walked(scan, prediction):
+        """The answer decision by decision: a walk also says what is new."""
+        answer, walk = associator(scan, prediction), Walk(scan, prediction, candidates=10, compatibility=compatibility)
+        while not walk.done:
+            feature = answer.features[walk.measurement]
+            row = UNPAIRED if feature == UNPAIRED else int(np.flatnonzero(prediction.features == feature)[0])
+            walk.take(walk.action_of(row))
+        return walk.hypothesis()
+
+    hypotheses = [direct.step(odometry, scan, walked).hypothesis for odometry, scan, _ in fixed_noise(None)]
     assert player.unplayable == 0
     assert len(player.hypotheses) > 30
     for look, played in player.hypotheses:

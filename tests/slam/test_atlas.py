@@ -161,6 +161,8 @@ def test_a_measurement_whose_pairing_is_rejected_starts_a_feature_where_it_is_to
     rejected = (held.ids == NO_ID) & (paired.ids != NO_ID)
     assert rejected.any() and begun.created[rejected].any() and not held.created[rejected].any()
     assert (begun.ids == held.ids)[~begun.created].all()
+    assert held.hypothesis.dof == 2 * held.hypothesis.pairings
+    assert 0.0 < held.hypothesis.joint_distance < paired.hypothesis.joint_distance
     assert begun.rule is StartRule.FITS_NOTHING_NEAR and held.rule is StartRule.FITS_NOTHING
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
 

@@ -113,7 +113,8 @@ def test_bad_arguments_are_refused_by_name(options, message):
 
 def test_new_is_what_fits_nothing_given_all_pairings():
     rng, gate, seen = np.random.default_rng(5), oracles.gate(2, NEW_CONFIDENCE), {True: 0, False: 0}
-    for scan, prediction in problems(60, m=8, n=9):
+    for _ in range(60):
+        scan, prediction = oracles.problem(rng, 10, 12, spread=4.0, spurious=0.2)
         walk, pairs = Walk(scan, prediction), []
         while not walk.done:
             action = walk.K if rng.random() < 0.1 else greedy(walk.observation(), walk.mask)
