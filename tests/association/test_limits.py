@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam_gym.association import ASSOCIATORS, gcbb
+from slam_gym.association import ASSOCIATORS, gcbb, random_sampling
 from slam_gym.association.relocation.gcbb import LEAF_LIMIT
+from slam_gym.association.relocation.random_sampling import JOINT_LIMIT
 from slam_gym.association.tracking.hypotheses import JOINT_TESTS, MOST_CANDIDATES
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Landmarks, Odometry, Scan
@@ -61,11 +62,11 @@ def test_work_and_memory_are_bounded_and_the_answer_says_so(name):
             assert not answer.new.any(), "what may have been left out starts no feature"
 
 
-def test_a_search_without_a_prior_ends():
+def test_searches_without_a_prior_end():
     rng = np.random.default_rng(0)
     scan = Scan.from_points(rng.uniform(-4, 4, (20, 2)), sigma=0.3)
     landmarks = Landmarks.from_points(rng.uniform(-6, 6, (120, 2)), sigma=0.2)
-    answer = gcbb(scan, landmarks)
-    effort = answer.effort
-    assert effort.limit_hit and not answer.accepted
-    assert effort.leaves <= LEAF_LIMIT
+    deep, sampled = gcbb(scan, landmarks), random_sampling(scan, landmarks)
+    assert deep.effort.limit_hit and not deep.accepted and deep.effort.leaves <= LEAF_LIMIT
+    assert sampled.effort.limit_hit and not sampled.accepted
+    assert sampled.effort.joint_tests < JOINT_LIMIT + len(landmarks)  # a level may test all features

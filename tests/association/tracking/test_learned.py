@@ -131,7 +131,7 @@ def test_weights_that_do_not_fit_each_other_are_refused():
     arrays = drawn(np.random.default_rng(0), 4, 3)
     for name, array, message in (
         ("second", np.zeros((3, 8)), "second: 8 columns, expected 9"),
-        ("last", np.zeros(2), "not 2 hidden numbers everywhere"),
+        ("last", np.zeros(2), "not 2 hidden units everywhere"),
         ("scale", np.zeros(4), "scale: not positive"),
     ):
         with pytest.raises(ValueError, match=message):
