@@ -9,15 +9,7 @@ from slam_gym.geometry import compose, observe
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pixels
-from slam_gym.rendering.scene import (
-    Grid,
-    Scene,
-    draw_scene,
-    legend,
-    scene_of_episode,
-    scene_of_log,
-    shown_in,
-)
+from slam_gym.rendering.scene import Grid, Scene, draw_scene, legend, scene_of_episode, scene_of_log, shown_in
 from tests.rollouts import associate, episode, explore, short
 
 pytest.importorskip("pygame")

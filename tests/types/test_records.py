@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.types import (
-    UNKNOWN_KIND,
-    UNPAIRED,
-    Effort,
-    Hypothesis,
-    Landmarks,
-    Locality,
-    Odometry,
-    Relocation,
-    Scan,
-)
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Odometry, Relocation, Scan
 
 
 def test_a_record_cannot_be_changed_and_its_copies_are_equal() -> None:

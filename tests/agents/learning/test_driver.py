@@ -6,15 +6,7 @@ import torch
 
 from agents.drivers.base import LOOK_AROUND
 from agents.drivers.baselines import InformationGain
-from agents.drivers.learned import (
-    SHAPES,
-    TOKEN_FIELDS,
-    LearnedDriver,
-    Tokens,
-    load_driver,
-    scores,
-    tokens_of,
-)
+from agents.drivers.learned import SHAPES, TOKEN_FIELDS, LearnedDriver, Tokens, load_driver, scores, tokens_of
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.learning.driver import DriverPlan, Examples, OutlinedDrive, greedy, regret_of, reproduce, trained, untrained
 from agents.learning.sketch import QUARTER, Sketch, missed_by

@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.tracking.observation import (
-    CANDIDATE_FIELDS,
-    CLUTTER_DENSITY,
-    PATH_FIELDS,
-    lengths,
-    nothing,
-)
+from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, CLUTTER_DENSITY, PATH_FIELDS, lengths, nothing
 from tests.association.tracking.test_walk import CONFIDENCE, problems, walked
 from tests.oracles import association as oracles
 from tests.oracles.densities import fit

@@ -10,10 +10,7 @@ from slam_gym.geometry import transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.places.fusion import find_loop
-from slam_gym.slam.places.recognition import (
-    RecognitionSpec,
-    as_scan,
-)
+from slam_gym.slam.places.recognition import RecognitionSpec, as_scan
 from slam_gym.types import Array, Odometry, Scan
 from tests.oracles.geometry import rigid_motions
 from tests.oracles.statistics import for_seeds
