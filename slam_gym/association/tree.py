@@ -156,9 +156,11 @@ def decided(tree: Tree, node: Node) -> IntArray:
     return rows
 
 
-def hypothesis(tree: Tree, node: Node, effort: Effort, *, exclusive: bool = True) -> Hypothesis:
-    """The hypothesis of `node`, with `*` for undecided measurements."""
-    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort, exclusive=exclusive)
+def hypothesis(
+    tree: Tree, node: Node, effort: Effort, *, exclusive: bool = True, new: BoolArray | None = None
+) -> Hypothesis:
+    """The hypothesis of `node`, with `*` for undecided measurements. For `exclusive` and `new` see `Hypothesis`."""
+    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort, exclusive=exclusive, new=new)
 
 
 def as_hypothesis(

@@ -33,11 +33,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from slam_gym.association.acceptance import are_accidental
 from slam_gym.association.compatibility import plain
-from slam_gym.association.prediction import Prediction, SlamStep, StartRule
+from slam_gym.association.prediction import Prediction, SlamStep, StartRule, expected_of
+from slam_gym.association.tracking.near_first import joint_distance_of
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import learn
@@ -130,9 +130,9 @@ class Atlas:
             believed = replace(hypothesis, new=None) if weighs_all else hypothesis
             return Accepted(believed, StartRule.of(believed))
         features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
-        remaining = replace(
-            hypothesis, features=features, joint_distance=_joint_distance(scan, prediction, features), dof=dof, new=None
-        )
+        rows = np.where(features == UNPAIRED, UNPAIRED, np.searchsorted(prediction.features, features))
+        distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
+        remaining = replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
         if self.starts_from_rejected:
             new, near = np.empty(len(scan), np.bool_), prediction.near
             expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
@@ -198,15 +198,6 @@ class Atlas:
     def _recorded(self, kind: Literal["loop", "duplicates", "maps"], step: int, fusion: Fusion) -> Fusion:
         self.fusions.append(FusionRecord(kind, step, fusion.ids))
         return fusion
-
-
-def _joint_distance(scan: Scan, prediction: Prediction, features: IntArray) -> float:
-    """D²_H of the pairings of measurements with map features (m,), or UNPAIRED."""
-    paired = np.flatnonzero(features != UNPAIRED)
-    rows = np.searchsorted(prediction.features, features[paired])
-    innovation = (scan.points[paired] - prediction.positions[rows]).ravel()
-    S = prediction.joint(rows) + block_diag(*scan.covariances[paired]) if len(rows) else np.empty((0, 0))
-    return float(innovation @ np.linalg.solve(S, innovation))
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:

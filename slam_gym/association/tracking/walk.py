@@ -19,8 +19,8 @@ from slam_gym.association.tracking.observation import (
 from slam_gym.association.tree import (
     add_pairing,
     added_by,
-    as_hypothesis,
     decided,
+    hypothesis,
     interpretation_tree,
     root,
     root_of,
@@ -161,7 +161,7 @@ class Walk:
         effort = Effort(self.level, self.candidates.tests, self._tests)
         relied_on = self.joint and self.done and self.pairings >= max(FEWEST_PAIRED, SHARE_PAIRED * self.tree.levels)
         new = self._new() if relied_on else None
-        return as_hypothesis(self.tree.prediction, self.decided, self.distance, effort, exclusive=self.joint, new=new)
+        return hypothesis(self.tree, self.node, effort, exclusive=self.joint, new=new)
 
     def _new(self) -> BoolArray:
         """(m,) which measurements are unpaired and compatible with nothing, given the path."""
