@@ -27,6 +27,7 @@ from slam_gym.association.relocation.problem import (
     Best,
     Problem,
     answer_of,
+    fewest,
     nothing_found,
     offer,
     problem_of,
@@ -105,10 +106,8 @@ def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
         problem.effort[LEAVES] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
-        while len(path.features) > 2 and not offer(best, problem, path, len(path.features)):
+        while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
             path = _without_worst(problem, path)
-        if len(path.features) == 2:
-            offer(best, problem, path, 2)
     return best
 
 
