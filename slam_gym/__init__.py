@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from slam_gym.association.prediction import Prediction
     from slam_gym.mapping.smoothing import Smoothed, smooth
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-    from slam_gym.recordings.catalogue import open_recordings
+    from slam_gym.recordings import open_recordings
     from slam_gym.recordings.recording import Recording, write_tum
     from slam_gym.scenarios import SCENARIOS, Scenario, from_floor_plan, get_scenario, register
     from slam_gym.slam.atlas import AtlasSpec

@@ -82,7 +82,7 @@ for _name, _summary in COMMANDS.items():
 def list_names(topic: Topic) -> None:
     """List the names that other commands take."""
     from slam_gym.association import ASSOCIATORS, RELOCATORS
-    from slam_gym.recordings.catalogue import PUBLISHED
+    from slam_gym.recordings import PUBLISHED
     from slam_gym.scenarios import SCENARIOS
 
     _find_agents()

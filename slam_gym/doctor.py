@@ -11,7 +11,7 @@ from pathlib import Path
 
 import slam_gym
 from slam_gym._jit import cache_folder
-from slam_gym.recordings.catalogue import DATA, PUBLISHED
+from slam_gym.recordings import DATA, PUBLISHED
 
 _MUCH = 500  # [MB] of compiled loops: more than one version of the package creates
 

@@ -16,7 +16,7 @@ from agents.evaluation.mapped_log import FOLDER, map_log, measure, smoothed, wri
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
 from agents.options import Recorded
-from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.recordings import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING

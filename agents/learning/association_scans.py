@@ -20,14 +20,14 @@ from agents.suite.problems import TwoLaps, problems
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.learned import examples
-from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.recordings import open_recordings
 from slam_gym.scenarios import get_scenario, world_generator, world_seed
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, DrivenRun, LoggedRun, ScanLog
 from slam_gym.simulation.episode import survey
+from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
 from slam_gym.simulation.recorded_logs import reference_poses
-from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
 from slam_gym.types import UNLABELLED, UNPAIRED, BoolArray, IntArray, Scan, Truth
 
 WIDTH, MARGIN = 150, 16.0  # of the search: wider than that which decides, for it is still to learn

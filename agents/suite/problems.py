@@ -24,8 +24,7 @@ from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.scenarios import SPLITS, world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
-from slam_gym.simulation.judged import CEILING, JudgedSlam
-from slam_gym.simulation.right_answers import RightAnswers
+from slam_gym.simulation.judged import CEILING, JudgedSlam, RightAnswers
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
 from slam_gym.world.physics import Motion

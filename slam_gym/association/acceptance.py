@@ -57,15 +57,15 @@ from scipy.special import gammaln, logsumexp, xlogy
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, joint_gates
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.relocation.arrays import Mapped, floats, integers, map_arrays, scan_arrays
+from slam_gym.association.relocation.arrays import Mapped, as_floats, as_integers, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import difference_covariance, unary_table
+from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
 EXPLAINED = 0.7  # fraction of a scan above which no further pairing is required
 _SAMPLE = 1000  # number of landmarks sampled for their errors and for the unary constraints
 _NARROWEST = 1e-3  # [m] minimum extent of a scan
-_FLOOR = 1e-12  # [m²] minimum variance, as in `location`
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def log_expected(
     if m < 2:
         return np.full(m + 1, math.inf)
     return _log_expected(
-        floats(scan.points), floats(scan.covariances), _fractions(scan, landmarks, confidence), crowding.variance,
+        as_floats(scan.points), as_floats(scan.covariances), _fractions(scan, landmarks, confidence), crowding.variance,
         _log_starts(crowding, m), _log_tubes(m, confidence),
     )  # fmt: skip
 
@@ -131,7 +131,7 @@ def _log_expected(
     x, y = points[:, 0].mean(), points[:, 1].mean()
     for i in range(m):
         xx, yy, xy = noise[i, 0, 0] + variance, noise[i, 1, 1] + variance, noise[i, 0, 1]
-        area = math.sqrt(max(xx * yy - xy * xy, _FLOOR**2))
+        area = math.sqrt(max(xx * yy - xy * xy, VARIANCE_FLOOR**2))
         logs[i] = math.log(area * fractions[i]) if fractions[i] > 0.0 else -math.inf
         mean, square = mean + area / m, square + ((points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2) / (m - 1)
     expected = np.full(m + 1, -math.inf)  # first log e_k, the elementary symmetric polynomials
@@ -202,9 +202,9 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
     step = max(len(landmarks) // _SAMPLE, 1)
     passed = unary_table(
         scan_arrays(scan),
-        floats(landmarks.sizes[::step]),
-        floats(landmarks.size_variances[::step]),
-        integers(landmarks.kinds[::step]),
+        as_floats(landmarks.sizes[::step]),
+        as_floats(landmarks.size_variances[::step]),
+        as_integers(landmarks.kinds[::step]),
         chi2_gate(1, confidence),
     )
     fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)

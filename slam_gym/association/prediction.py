@@ -32,8 +32,7 @@ from slam_gym.types import (
     Odometry,
     Scan,
 )
-from slam_gym.types._arguments import floats, kinds_of, sizes_of
-from slam_gym.types._records import quick
+from slam_gym.types._fields import floats, kinds_of, quick, sizes_of
 
 Entry = TypeVar("Entry", bound=np.generic)
 

@@ -160,22 +160,10 @@ def hypothesis(
     tree: Tree, node: Node, effort: Effort, *, exclusive: bool = True, new: BoolArray | None = None
 ) -> Hypothesis:
     """The hypothesis of `node`, with `*` for undecided measurements. For `exclusive` and `new` see `Hypothesis`."""
-    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort, exclusive=exclusive, new=new)
-
-
-def as_hypothesis(
-    prediction: Prediction,
-    rows: IntArray,
-    distance: float,
-    effort: Effort,
-    *,
-    exclusive: bool = True,
-    new: BoolArray | None = None,
-) -> Hypothesis:
-    """The hypothesis that pairs measurements with `rows` (m,) of the prediction, or UNPAIRED. For `exclusive` and `new`
-    see `Hypothesis`."""
-    features, pairings = _features(plain(prediction.features), rows)
-    return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
+    rows = decided(tree, node)
+    paired, features = rows != UNPAIRED, np.full(len(rows), UNPAIRED)
+    features[paired] = tree.prediction.features[rows[paired]]
+    return Hypothesis(features, node.distance, 2 * len(node.path), effort, new=new, exclusive=exclusive)
 
 
 @inlined
@@ -321,14 +309,3 @@ def write_rows(pairings: Pairings, path: IntArray, rows: IntArray, out: IntArray
     """Write the pairings of a path to `out` (m,), as the prediction `rows` (u,) of their slots."""
     for c in path:
         out[pairings.measured[c]] = rows[pairings.slots[c]]
-
-
-@compiled
-def _features(features: IntArray, rows: IntArray) -> tuple[IntArray, int]:
-    """`features` (k,) at `rows` (m,), UNPAIRED where there is no row; and the number of rows."""
-    out, count = np.full(len(rows), UNPAIRED), 0
-    for i in range(len(rows)):
-        if rows[i] != UNPAIRED:
-            out[i] = features[rows[i]]
-            count += 1
-    return out, count

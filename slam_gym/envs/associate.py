@@ -23,8 +23,8 @@ from slam_gym.simulation.association_runs import (
     LoggedRun,
     ScanLog,
 )
+from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
-from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
 from slam_gym.types import UNPAIRED, Hypothesis
 from slam_gym.validation import one_of
 

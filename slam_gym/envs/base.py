@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
-from slam_gym.scenarios.overrides import Plain
+from slam_gym.scenarios.scenario import Plain
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.validation import one_of
 

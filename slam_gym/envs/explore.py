@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,7 +15,7 @@ from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.envs.observation import GOAL_FIELDS, encode_goals, observation_space, observe
-from slam_gym.envs.rewards import REWARDS
+from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
@@ -24,6 +26,51 @@ from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Relocator
 from slam_gym.validation import one_of
+
+# -- rewards: each is the decrease of a quantity, so that those of an episode sum to its total decrease ----------------
+
+
+def map_error(episode: Episode) -> float:
+    """E = GOSPA(p = 1, α = 2, c = 2σ₀) / (σ₀ N): 1 for an empty map, 0 for a perfect one."""
+    return episode.map_error()
+
+
+def a_opt(episode: Episode) -> float:
+    """Mean eigenvalue over the virtual map, in units of σ₀²: 1 for an unseen world."""
+    return _virtual(episode).a_opt() / episode.scenario.prior_sigma**2
+
+
+def d_opt(episode: Episode) -> float:
+    """exp(mean log eigenvalue) over the virtual map, in units of σ₀²: 1 for an unseen world."""
+    return _virtual(episode).d_opt() / episode.scenario.prior_sigma**2
+
+
+def entropy(episode: Episode) -> float:
+    """Mean entropy [nat] per coordinate of the virtual map, relative to an unseen world: 0 there, then negative."""
+    unseen = 0.5 * math.log(2.0 * math.pi * math.e * episode.scenario.prior_sigma**2)
+    return _virtual(episode).entropy() - unseen
+
+
+def _virtual(episode: Episode) -> VirtualMap:
+    if episode.virtual_map is None:
+        raise ValueError("the episode keeps no virtual map: ask for it with Episode(…, virtual=True)")
+    return episode.virtual_map
+
+
+REWARDS: dict[str, Callable[[Episode], float]] = {
+    "map_error": map_error,
+    "a_opt": a_opt,
+    "d_opt": d_opt,
+    "entropy": entropy,
+}
+"""The quantities whose decrease in a step may be the reward.
+
+`map_error` uses the truth. The others do not: they are functions of the robot's own covariances over the fixed cells of
+a virtual map, and therefore reward an overconfident associator.
+"""
+
+
+# -- the environment ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -75,7 +122,7 @@ class ExploreEnv(BaseEnv):
 
     ## Rewards
     The decrease, since the last step, of `map_error`, which uses the truth, or of `a_opt`, `d_opt` or `entropy` of a
-    virtual map, which do not use it and therefore reward overconfidence: see `slam_gym.envs.rewards`.
+    virtual map, which do not use it and therefore reward overconfidence: see `slam_gym.envs.explore.REWARDS`.
 
     ## Starting state
     A world drawn from the seeds of the `split` (with `floor_plan`, always that floor), and a random free pose in it.

@@ -18,8 +18,8 @@ from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
 from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
+from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
-from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.relocate import LocalityName
 from slam_gym.types import UNPAIRED, IntArray
 from slam_gym.validation import one_of

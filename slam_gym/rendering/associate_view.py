@@ -14,7 +14,7 @@ from slam_gym.rendering.canvas import Canvas
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
-from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
+from slam_gym.simulation.judged import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
 _MARGIN = 60  # [pixels] around the robot and its measurements

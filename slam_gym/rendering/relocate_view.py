@@ -13,8 +13,8 @@ from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame, text
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
+from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
-from slam_gym.simulation.right_answers import UNDECIDED
 from slam_gym.types import UNPAIRED, Array, IntArray
 
 _INSET, _HEADING = 190, 34  # [pixels] side of the scan, height of the line above the map

@@ -1,21 +1,35 @@
-"""A scenario: a generator of worlds, a robot with its sensors and filter, and a budget; and the seeds of its worlds."""
+"""A scenario: a generator of worlds, a robot with its sensors and filter, and a budget; and the seeds of its worlds.
+
+Overrides change the fields of a scenario by dotted names and plain values, from a command line or a JSON file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import json
+import math
+import reprlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.validation import check_settings, one_of
+from slam_gym.validation import check_settings, known_names, one_of
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 
 SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}
 """First world seed and number of worlds of each split."""
+
+Plain = bool | int | float | str | None
+"""The values that an override may have: those of JSON without lists and objects."""
+
+_PLAIN = (bool, int, float, str)
+_Record = TypeVar("_Record")
 
 
 @dataclass(frozen=True)
@@ -68,3 +82,97 @@ def world_seed(split: str, index: int) -> int:
 def world_generator(split: str, index: int) -> np.random.Generator:
     """The random generator for the plan of a world, independent of `reset(seed=…)`. Raises as `world_seed`."""
     return np.random.default_rng((world_seed(split, index), 1))
+
+
+def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
+    """The scenario with some fields changed, e.g. `{"sensor.range": 4.0, "dynamics.people": 3, "generator.rooms": 4}`.
+
+    A name leads through the fields of dataclasses to a bool, a number or a string. `None` is allowed for fields that
+    may be None. Where a dataclass is None, as `kidnapping` is in most scenarios, a name such as `kidnapping.at` changes
+    its defaults. All changes of one dataclass are made at once, so their order does not matter.
+
+    Raises ValueError, naming the override, for an unknown field (it lists the known ones), for a value of the wrong
+    type or a number that is not finite, and for values that the dataclasses themselves reject.
+    """
+    for name, value in overrides.items():
+        if not isinstance(name, str):
+            raise ValueError(f"override {reprlib.repr(name)}: expected the name of a field")
+        if not (value is None or isinstance(value, _PLAIN)):
+            raise ValueError(
+                f"override {name!r}: expected a bool, a number, a string or None, got {reprlib.repr(value)}"
+            )
+    return _changed(scenario, overrides, "")
+
+
+def parse_override(text: str) -> tuple[str, Plain]:
+    """Parse the NAME=VALUE of `--set`: `true`, `false`, `null` and numbers as in JSON; other values are strings.
+
+    Raises ValueError for a text of another form.
+    """
+    name, equals, value = text.partition("=")
+    if not (name.strip() and equals):
+        raise ValueError(f"{text!r}: expected NAME=VALUE, such as sensor.range=4")
+    try:
+        parsed = json.loads(value)
+    except (ValueError, RecursionError):  # RecursionError: thousands of brackets
+        return name.strip(), value
+    return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
+
+
+def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _Record:
+    """The dataclass `record`, whose dotted name is `prefix`, with the fields changed that `overrides` name."""
+    hints = get_type_hints(type(record))
+    known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
+    below: dict[str, dict[str, Plain]] = {}  # overrides within each field; "" stands for the field itself
+    for name, value in overrides.items():
+        first, _, rest = name.partition(".")
+        below.setdefault(first, {})[rest] = value
+    values: dict[str, Any] = {}
+    for name, inner in below.items():
+        if name not in known:
+            where = f" in {prefix[:-1]!r}" if prefix else ""
+            raise ValueError(f"override {prefix + name!r}: there is no such field{where}; {known_names(name, known)}")
+        old = getattr(record, name)
+        if "" in inner and len(inner) > 1:
+            raise ValueError(f"override {prefix + name!r}: is given a value and fields")
+        if "" in inner:
+            values[name] = _checked(prefix + name, inner[""], hints[name])
+        elif (start := old if is_dataclass(old) else _dataclass_of(hints[name])) is None:
+            raise ValueError(f"override {prefix + name!r}: has no fields")
+        else:
+            values[name] = _changed(start() if isinstance(start, type) else start, inner, f"{prefix}{name}.")
+    try:
+        return replace(record, **values)  # type: ignore[type-var]
+    except ValueError as error:
+        names = ", ".join(prefix + name for name in values)
+        raise ValueError(f"override of {names}: {error}") from None
+
+
+def _types(hint: Any) -> tuple[Any, ...]:
+    """The alternatives of the type annotation `hint`."""
+    return get_args(hint) if NoneType in get_args(hint) else (hint,)
+
+
+def _dataclass_of(hint: Any) -> type[Any] | None:
+    return next((kind for kind in _types(hint) if isinstance(kind, type) and is_dataclass(kind)), None)
+
+
+def _can_change(value: Any, hint: Any) -> bool:
+    return is_dataclass(value) or _dataclass_of(hint) is not None or any(kind in _PLAIN for kind in _types(hint))
+
+
+def _checked(name: str, value: Plain, hint: Any) -> Plain:
+    """The value with the type of the annotation; an integer is accepted for a float. Raises ValueError for others."""
+    types = _types(hint)
+    if value is None and NoneType in types:
+        return None
+    whole = type(value) is int and abs(value) < 1 << 63  # larger ones do not fit into arrays
+    for kind in (bool, float, int, str):
+        fits = whole if kind is int else isinstance(value, kind) or (whole and kind is float)
+        if kind in types and fits and (kind is not float or math.isfinite(value)):  # type: ignore[arg-type]
+            return kind(value)  # type: ignore[arg-type]
+    words = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string", NoneType: "None"}
+    wanted = [words[kind] for kind in types if kind in words]
+    if _dataclass_of(hint) is not None or not wanted:
+        wanted.append(f"the name of a field in it, {name}.…")
+    raise ValueError(f"override {name!r}: expected {' or '.join(wanted)}, got {reprlib.repr(value)}")

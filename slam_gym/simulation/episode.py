@@ -16,9 +16,9 @@ from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import error_of_pose
 from slam_gym.metrics.point_assignment import indexed
+from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.keyframes import Keyframes
-from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
+from slam_gym.navigation.active_slam import expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.frontiers import frontiers
 from slam_gym.navigation.planner import DistanceField, distance_field

@@ -21,7 +21,7 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
-from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import ROBOTS
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.scenarios import SPLITS

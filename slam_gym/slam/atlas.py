@@ -40,7 +40,6 @@ from slam_gym.association.prediction import Prediction, SlamStep, StartRule, exp
 from slam_gym.association.tracking.near_first import joint_distance_of
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam import learn
 from slam_gym.slam.places.fusion import (
     Fusion,
     MappedArea,
@@ -52,6 +51,7 @@ from slam_gym.slam.places.fusion import (
 )
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate
+from slam_gym.slam.step import fit_nothing
 from slam_gym.slam.tracker import Tracker
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
 from slam_gym.validation import check_settings
@@ -136,7 +136,7 @@ class Atlas:
         if self.starts_from_rejected:
             new, near = np.empty(len(scan), np.bool_), prediction.near
             expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
-            learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
+            fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
             return Accepted(replace(remaining, new=new), StartRule.FITS_NOTHING_NEAR)
         return Accepted(remaining, StartRule.FITS_NOTHING)
 

@@ -35,7 +35,7 @@ from slam_gym.mapping.map_joining import equate, join, join_all, joined_map
 from slam_gym.mapping.smoothing import Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Locality, Odometry, Scan
 from slam_gym.validation import check_scan
 
@@ -43,7 +43,6 @@ Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
 """Finds features mapped twice: takes the join of two local maps, the rows of its older (a,) and newer features (b,),
 and returns pairs (k, 2) of rows."""
 
-_STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 _INDIVIDUAL = 0.9999  # confidence: one error moves all pairs, so that the joint gate is the one that discriminates
 _SEARCHES = 64  # by JCBB; then the best pairs so far are returned
 _NODE_LIMIT = 20_000  # nodes of each search
@@ -107,7 +106,7 @@ class LocalMapSlam:
             check_scan(scan)
             self.map.predict(odometry)
             self._begin_map()
-            odometry = _STILL
+            odometry = STILL
         return self.slam.predict(odometry, scan)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:

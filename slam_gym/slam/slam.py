@@ -25,11 +25,21 @@ from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.measurement import rows_for
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.slam import learn, predict
 from slam_gym.slam.atlas import Atlas, AtlasSpec
-from slam_gym.slam.learn import Settings
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate
+from slam_gym.slam.step import (
+    BAD_ODOMETRY,
+    BAD_SCAN,
+    DONE,
+    NARROW,
+    NOT_ADDED,
+    REFUSED,
+    Settings,
+    forget,
+    learn,
+    predict,
+)
 from slam_gym.slam.tracker import Tracker
 from slam_gym.types import (
     NO_ID,
@@ -47,7 +57,8 @@ from slam_gym.types import (
 from slam_gym.validation import check_hypothesis, check_inputs, check_scan, check_settings
 
 _NO_FEATURES = np.empty(0, np.int64)
-_STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+"""A robot that does not move, for certain."""
 
 
 @dataclass(frozen=True)
@@ -170,17 +181,17 @@ class Slam:
         is_decided, recent, ids = hypothesis.new is not None, self._row_for(count), np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.expected
-        ended = learn.NARROW
-        while ended == learn.NARROW:
-            ended, detail, added = learn.learn(
+        ended = NARROW
+        while ended == NARROW:
+            ended, detail, added = learn(
                 m.arrays, m.numbers, graph.arrays, recent, scan.arrays, decisions, expected, self._settings()
             )
-            if ended == learn.NARROW:
+            if ended == NARROW:
                 graph.widen(detail)
         self._experience = hypothesis.experience or self._experience
         m.learned(added)
         graph.learned(added)
-        if ended != learn.DONE:
+        if ended != DONE:
             raise self._refusal(ended, detail, scan, hypothesis.features)
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
@@ -205,7 +216,7 @@ class Slam:
             return self._go_on_from(found, scan, self.tracker)
         if self.atlas is not None and self.atlas.gives_up(self.tracker):
             removed = self._begin_map(self.atlas, self.tracker)
-            return replace(self.update(scan, self.predict(_STILL, scan), unpaired), removed=removed)
+            return replace(self.update(scan, self.predict(STILL, scan), unpaired), removed=removed)
         self.map.end_of_step()
         return SlamStep(prediction, unpaired, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
 
@@ -256,10 +267,10 @@ class Slam:
             reach = max(reach, _farthest(*measured, np.ones(len(scan), np.bool_), 3.0))
         rule = reach, m.spec.second_order, self._gate, most_accidental
         locality = (*local_arrays(self.covisibility if self.spec.locality else None), self._recent.ravel())
-        k = predict.predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
-        if k == predict.BAD_SCAN:
+        k = predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
+        if k == BAD_SCAN:
             check_scan(scan)
-        if k == predict.BAD_ODOMETRY:
+        if k == BAD_ODOMETRY:
             raise refused_odometry(odometry)
         m.moved()
         self._farthest = reach
@@ -272,7 +283,7 @@ class Slam:
         self.map.place(found.pose, UNKNOWN_POSE)
         tracker.accept(hypothesis)
         tracker.relocations += 1
-        everything = self._predict(_STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous
+        everything = self._predict(STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous
         return self.update(scan, everything, hypothesis)
 
     def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
@@ -284,16 +295,16 @@ class Slam:
         return removed
 
     def _settings(self) -> Settings:
-        """The settings that `learn.learn` takes."""
+        """The settings that `learn` takes."""
         spec = self.spec.map
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
     def _refusal(self, ended: int, detail: int, scan: Scan, features: IntArray) -> ValueError:
-        """The error that tells why `learn.learn` refused the scan."""
-        if ended == learn.REFUSED:
+        """The error that tells why `learn` refused the scan."""
+        if ended == REFUSED:
             return refused_update(detail, scan, features, self.map.n)
-        if ended == learn.NOT_ADDED:
+        if ended == NOT_ADDED:
             return bad_measurement(scan, detail)
         return ValueError(f"scan.covariances[{detail}] leaves the innovation covariance singular")
 
@@ -322,7 +333,7 @@ class Slam:
         m, graph = self.map, self.covisibility
         became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
         *_, confirmations, before = self._settings()
-        learn.forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
+        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
         m.learned(-due)
         graph.learned(-due)
         self._renumber(became)

@@ -6,7 +6,7 @@ A pose is an array (3,) `[x m, y m, θ rad]`, its heading wrapped to (−π, π]
 
 from __future__ import annotations
 
-from slam_gym.types._arguments import UNKNOWN_KIND, Array, BoolArray, IntArray
+from slam_gym.types._fields import UNKNOWN_KIND, Array, BoolArray, IntArray
 from slam_gym.types.decided import (
     NO_ID,
     UNPAIRED,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from slam_gym.types._arguments import Array, BoolArray, IntArray
-from slam_gym.types._records import quick
+from slam_gym.types._fields import Array, BoolArray, IntArray, quick
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import Scan
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types._arguments import INTEGER, Array, IntArray, check_array, covariances_of, floats, kinds_of, sizes_of
+from slam_gym.types._fields import INTEGER, Array, IntArray, check_array, covariances_of, floats, kinds_of, sizes_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types._arguments import (
+from slam_gym.types._fields import (
     FLOAT,
     INTEGER,
     UNKNOWN_KIND,
@@ -19,9 +19,9 @@ from slam_gym.types._arguments import (
     floats,
     in_radians,
     kinds_of,
+    quick,
     sizes_of,
 )
-from slam_gym.types._records import quick
 
 _NO_KINDS: IntArray = np.empty(0, np.int64)
 

@@ -16,7 +16,7 @@ import pymunk
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
-from slam_gym.types._records import quick
+from slam_gym.types._fields import quick
 from slam_gym.validation import check_settings
 from slam_gym.world import driving
 from slam_gym.world.floor_plan import FloorPlan

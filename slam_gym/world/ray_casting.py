@@ -16,7 +16,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.types._arguments import floats
+from slam_gym.types._fields import floats
 from slam_gym.world.floor_plan import Features, Kind
 
 _PADDING = 1e-6  # [cells] a wall is listed in every cell this close to it, against rounding at the borders

@@ -12,7 +12,7 @@ from slam_gym.association.tracking.walk import Walk
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.association_runs import CORRIDOR
-from slam_gym.simulation.right_answers import NOT_OFFERED
+from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED
 from slam_gym.world.corridor import walk_round

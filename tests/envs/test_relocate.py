@@ -11,8 +11,8 @@ from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUR
 from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario
+from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.relocation_problems import kidnap
-from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.oracles.relocation_walks import by_chance

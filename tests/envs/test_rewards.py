@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from slam_gym.envs.rewards import REWARDS
+from slam_gym.envs.explore import REWARDS
 from slam_gym.geometry import observe
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.virtual_map import VirtualMap
+from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.types import Scan
 from tests.rollouts import SCENARIOS, episode, explore, short
 

@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.geometry import observe, relative
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import MAX_FEATURES, expected_reduction, features_in_sight
+from slam_gym.navigation.active_slam import MAX_FEATURES, expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import WALL, ExploredGrid
 from slam_gym.types import Beams, Odometry, Scan
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import observe
-from slam_gym.navigation.virtual_map import VirtualMap
+from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.types import Beams
 from tests.oracles.geometry import transform_jacobians
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.recordings import Recording, RecordingError, open_recordings, save
-from slam_gym.recordings.catalogue import DATA
+from slam_gym.recordings import DATA, Recording, RecordingError, open_recordings, save
 from slam_gym.recordings.reading import Spans, starts_of
 from tests.recordings.test_recording import by_hand
 

@@ -5,8 +5,7 @@ import pytest
 
 from slam_gym.association.tracking.walk import Walk
 from slam_gym.metrics.association import Decision
-from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.simulation.right_answers import RightAnswers, decisions
+from slam_gym.simulation.judged import JudgedSlam, RightAnswers, decisions
 from slam_gym.slam.slam import Slam
 from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
 from tests.simulation.episodes import circle

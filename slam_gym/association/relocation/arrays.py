@@ -42,8 +42,8 @@ def scan_arrays(scan: Scan) -> ScanArrays:
     check_scan(scan)
     if np.any(scan.size_variances < 0.0):
         raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
-    of_points = floats(scan.points), floats(scan.covariances)
-    return ScanArrays(*of_points, floats(scan.sizes), floats(scan.size_variances), integers(scan.kinds))
+    of_points = as_floats(scan.points), as_floats(scan.covariances)
+    return ScanArrays(*of_points, as_floats(scan.sizes), as_floats(scan.size_variances), as_integers(scan.kinds))
 
 
 def map_arrays(landmarks: Landmarks) -> Mapped:
@@ -85,7 +85,7 @@ def map_arrays(landmarks: Landmarks) -> Mapped:
 def unchecked_map(landmarks: Landmarks) -> Mapped:
     """The arrays of a map, unchecked."""
     fields: list[Any] = [getattr(landmarks, name) for name in Mapped._fields]
-    arrays: list[Any] = [integers(array) if array.dtype.kind == "i" else floats(array) for array in fields]
+    arrays: list[Any] = [as_integers(array) if array.dtype.kind == "i" else as_floats(array) for array in fields]
     return Mapped(*arrays)
 
 
@@ -93,7 +93,7 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
     """Starts and members; both empty for None. Raises ValueError unless the locality is one of n features."""
     if locality is None:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    starts, members = integers(locality.starts), integers(locality.members)
+    starts, members = as_integers(locality.starts), as_integers(locality.members)
     if len(starts) != n + 1 or starts[0] != 0 or starts[-1] != len(members) or np.any(starts[1:] < starts[:-1]):
         raise ValueError(f"Locality.starts: does not delimit {len(members)} members of {n} features")
     if len(members) and not (members.min() >= 0 and members.max() < n):
@@ -101,11 +101,11 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
     return starts, members
 
 
-def floats(array: Array) -> Array:
+def as_floats(array: Array) -> Array:
     """The array as the searches are compiled for: float64, C-contiguous, marked writeable."""
     return plain(np.ascontiguousarray(array, np.float64))
 
 
-def integers(array: IntArray) -> IntArray:
+def as_integers(array: IntArray) -> IntArray:
     """The array as int64, likewise."""
     return plain(np.ascontiguousarray(array, np.int64))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.arrays import Mapped, floats, integers, unchecked_map
+from slam_gym.association.relocation.arrays import Mapped, as_floats, as_integers, unchecked_map
 from slam_gym.association.relocation.constraints import Path, cross_covariance
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import cholesky, whiten
@@ -25,7 +25,7 @@ from slam_gym.validation import check_scan
 
 _ITERATIONS = 50
 _STEP = 1e-9  # [m, rad] converged when no component of a step is larger
-_FLOOR = 1e-12  # [m²] added to every variance, so that points without error can be located too
+VARIANCE_FLOOR = 1e-12  # [m²] added to variances, so that points without error can be located too
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,12 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     if len(features) != len(scan):
         raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
     paired = np.flatnonzero(features != UNPAIRED)
-    path, k = Path(paired, integers(features[paired])), len(paired)
+    path, k = Path(paired, as_integers(features[paired])), len(paired)
     if k and not (path.features.min() >= 0 and path.features.max() < len(landmarks)):
         raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
     pose, covariance, distance = np.full(3, math.nan), np.full((3, 3), math.nan), 0.0
     if k >= 2:
-        points, noise, mapped = floats(scan.points), floats(scan.covariances), unchecked_map(landmarks)
+        points, noise, mapped = as_floats(scan.points), as_floats(scan.covariances), unchecked_map(landmarks)
         distance = locate_pairings(points, noise, mapped, path, k, pose, covariance)
     if math.isnan(distance):
         raise ValueError(
@@ -119,7 +119,7 @@ def _closed_form(points: Array, noise: Array, positions: Array, P: Array, pose: 
     total, zx, zy, fx, fy, weights = 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(len(points))
     for a in range(len(points)):
         R, z, F = noise[a], points[a], positions[a]
-        weight = weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[2 * a, 2 * a] + P[2 * a + 1, 2 * a + 1] + _FLOOR)
+        weight = weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[2 * a, 2 * a] + P[2 * a + 1, 2 * a + 1] + VARIANCE_FLOOR)
         total += weight
         zx, zy, fx, fy = zx + weight * z[0], zy + weight * z[1], fx + weight * F[0], fy + weight * F[1]
     zx, zy, fx, fy = zx / total, zy / total, fx / total, fy / total
@@ -147,9 +147,9 @@ def _linearise(
         for b in range(p):
             S[p, b], S[q, b] = P[p, b], P[q, b]
         xx, xy, yy = noise[a, 0, 0], noise[a, 0, 1], noise[a, 1, 1]
-        S[p, p] = P[p, p] + _FLOOR + c * c * xx - 2.0 * c * s * xy + s * s * yy
+        S[p, p] = P[p, p] + VARIANCE_FLOOR + c * c * xx - 2.0 * c * s * xy + s * s * yy
         S[q, p] = P[q, p] + c * s * (xx - yy) + (c * c - s * s) * xy
-        S[q, q] = P[q, q] + _FLOOR + s * s * xx + 2.0 * c * s * xy + c * c * yy
+        S[q, q] = P[q, q] + VARIANCE_FLOOR + s * s * xx + 2.0 * c * s * xy + c * c * yy
 
 
 @compiled

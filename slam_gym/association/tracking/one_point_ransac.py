@@ -10,8 +10,8 @@ from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.near_first import Offer, near_first
-from slam_gym.association.tracking.path import append, distances_after, distances_with, follow, path_of
-from slam_gym.association.tree import Pairings, is_local
+from slam_gym.association.tracking.path import append, distances_with, follow, path_of
+from slam_gym.association.tree import Pairings, is_local, squared
 from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
 
 
@@ -71,10 +71,10 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
     for c in best:
         append(path, p, c, follow(pairings, path, p, c))
         p += 1
-    distances_after(pairings, path, p, distances)
     for c in range(len(slots)):
-        if len(best) > 0 and not is_local(pairings.local, slots[best[0]], slots[c]):
-            distances[c] = math.inf
+        distances[c] = math.inf
+        if c >= pairings.fixed and (len(best) == 0 or is_local(pairings.local, slots[best[0]], slots[c])):
+            distances[c] = squared(follow(pairings, path, p, c))
     return np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn
 
 

@@ -65,13 +65,6 @@ def append(path: Path, p: int, c: int, e: Innovation) -> None:
 
 
 @compiled
-def distances_after(pairings: Pairings, path: Path, p: int, out: Array) -> None:
-    """D² (c,) of each candidate after an update with the first p pairings of a path; inf for the fixed pairings."""
-    for c in range(len(pairings.slots)):
-        out[c] = math.inf if c < pairings.fixed else squared(follow(pairings, path, p, c))
-
-
-@compiled
 def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> None:
     """D² (c,) of each candidate after an update with the fixed pairings and the anchor; inf where it may not follow.
 

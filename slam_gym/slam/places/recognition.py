@@ -27,13 +27,12 @@ from scipy.linalg import block_diag, eigh
 
 from slam_gym.association import indexed, resolve_relocator
 from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray, Landmarks, Relocation, Relocator, Scan
 from slam_gym.validation import check_settings
-
-_FLOOR = 1e-12  # [m²] least variance of a feature that stands for a measurement
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     points = m.positions[group]
     shape = _shape_covariance(points, m.covariance_of(group))
     g = np.arange(len(group))
-    blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + _FLOOR * np.eye(2)
+    blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + VARIANCE_FLOOR * np.eye(2)
     kappa = max(1.0, float(eigh(0.5 * (shape + shape.T), block_diag(*blocks), eigvals_only=True)[-1]))
     covariances = kappa * 0.5 * (blocks + blocks.transpose(0, 2, 1))
     return Scan(points, covariances, m.sizes[group], m.size_variances[group], m.kinds[group])

@@ -20,12 +20,12 @@ import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import unary
+from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, landmarks_of, rigid_motions
 from slam_gym.types import Array, BoolArray, IntArray, Scan
 
-_FLOOR = 1e-12  # [m²] added to every variance
 _ONE_PAIR = 0.99  # confidence of the test of what a single pair adds
 _UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it should reject the impossible, not choose among the possible
 
@@ -47,7 +47,7 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
     k, positions, C = len(pairs), m.positions, difference_covariance(m, pairs)
     moved = positions[pairs[:, 1]]
     nu, G = (moved - positions[pairs[:, 0]]).ravel(), rigid_motions(moved)
-    W = np.linalg.inv(0.5 * (C + C.T) + _FLOOR * np.eye(2 * k))
+    W = np.linalg.inv(0.5 * (C + C.T) + VARIANCE_FLOOR * np.eye(2 * k))
     WG = W @ G
     Q = W - WG @ np.linalg.solve(G.T @ WG, WG.T)
     weighted, rows = (Q @ nu).reshape(k, 2), np.arange(k)

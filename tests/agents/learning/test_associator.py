@@ -23,7 +23,7 @@ from agents.learning.associator import (
 from slam_gym.association.tracking.marginal import marginals
 from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
 from slam_gym.scenarios import get_scenario
-from slam_gym.simulation.right_answers import RightAnswers
+from slam_gym.simulation.judged import RightAnswers
 from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
 from tests.oracles import association as oracles
 

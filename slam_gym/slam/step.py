@@ -1,15 +1,30 @@
-"""What a step of SLAM does with the associator's answer, in one compiled call: update, add, maintain."""
+"""The two compiled calls of a step of SLAM.
+
+`predict` comes before association: check, move, predict the features in reach. `learn` follows the associator's answer:
+update, add, maintain.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from slam_gym._jit import compiled
+from slam_gym.association.acceptance import unambiguous_rows
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
+from slam_gym.mapping.measurement import Locality, RowArrays, foresee, keep_rows
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
+from slam_gym.validation import first_bad_measurement
+
+BAD_ODOMETRY, BAD_SCAN = -1, -2  # returned by `predict` in place of a number of rows
+
+Rule = tuple[float, bool, float, float]
+"""Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
+the gate of an old feature above which it is not offered."""
 
 DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # outcomes of `learn`
 
@@ -17,6 +32,46 @@ GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
 Settings = tuple[int, float, bool, float, int, int]
 """Iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
 a feature must have been confirmed."""
+
+
+@compiled
+def predict(
+    arrays: MapArrays,
+    counts: tuple[int, int],
+    odometry: tuple[Array, Array],
+    scan: tuple[Array, Array],
+    rule: Rule,
+    locality: Locality,
+    pose: Array,
+    out: RowArrays,
+) -> int:
+    """Move the robot, and enter in `out` the features in reach that are not ambiguous.
+
+    Returns their number k; or BAD_SCAN or BAD_ODOMETRY, and the robot does not move.
+
+    Arguments:
+        arrays: arrays of the map, in which the robot is moved.
+        counts: number of its features, and number of steps that have ended in it.
+        odometry: motion (3,) and its covariance (3, 3).
+        scan: points (m, 2) and covariances (m, 2, 2), which are only checked.
+        pose: (4,) receives the predicted pose and the variance of its heading.
+    """
+    (motion, Q), (points, noise), (reach, second_order, gate, most) = odometry, scan, rule
+    if first_bad_measurement(points, noise)[1]:
+        return BAD_SCAN
+    moves = True
+    k = foresee(arrays, counts, (moves, motion, Q), reach, second_order, locality, pose, out)
+    if k < 0:
+        return BAD_ODOMETRY
+    if k > 0 and most < math.inf:
+        known, _, near, positions, covariances, _ = out
+        rows = known[0, :k], near[:k], positions[:k], covariances[:k], known[3, :k]
+        kept = np.empty(k, np.int64)
+        n_kept = unambiguous_rows(rows, arrays[1], k * gate / (reach * reach), most, kept)
+        if n_kept < k:
+            keep_rows(out, kept[:n_kept])
+            k = n_kept
+    return k
 
 
 @compiled
@@ -52,7 +107,10 @@ def learn(
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
     (positions, spreads, k), (iterations, settled, invariant, gate, confirmations, before) = expected, settings
     m, added, s = len(features), 0, 0
-    width = _width_needed(degrees, features)
+    width = m  # the most neighbours that a feature may have once those of the scan are recorded as seen together
+    for feature in features:
+        if feature != UNPAIRED:
+            width = max(width, degrees[feature] + m)
     if width > neighbours.shape[1]:
         return NARROW, width, 0
     # update
@@ -110,16 +168,6 @@ def forget(
             n_kept += 1
     ekf.keep(arrays, kept)
     keep_nodes(neighbours, counts, degrees, n, kept)
-
-
-@compiled
-def _width_needed(degrees: IntArray, features: IntArray) -> int:
-    """The most neighbours that a node may have once the scan's features are recorded as seen together."""
-    most = 0
-    for feature in features:
-        if feature != UNPAIRED:
-            most = max(most, degrees[feature])
-    return most + len(features)
 
 
 @compiled
