@@ -20,6 +20,7 @@ from slam_gym.simulation.judged import CEILING
 
 Value = Interval | float | int
 FEWEST = 10  # least number of episodes for an interval
+INTERVALS = ", 95 % bootstrap interval"
 Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
 
@@ -81,9 +82,16 @@ class Table:
     corner: str  # title of the first column, which contains the names
     columns: Sequence[Column]
     rows: Rows
-    caption: str = "interquartile mean, 95 % bootstrap interval"
+    caption: str = f"interquartile mean{INTERVALS}"
     differences: bool = False  # values are differences, shown with their signs
     detail: bool = False  # only in the report
+
+    @property
+    def note(self) -> str:
+        """The caption, without the mention of intervals where no value has one."""
+        values = [value for row in self.rows.values() for value in row.values()]
+        shown = any(isinstance(value, Interval) and math.isfinite(value.low) for value in values)
+        return self.caption if shown else self.caption.replace(INTERVALS, "")
 
     @property
     def bold(self) -> dict[str, set[str]]:
@@ -209,8 +217,8 @@ def print_table(table: Table, console: Console) -> None:
             count -= 1
         console.print(_grid(table, rest[:count]))
         rest = rest[count:]
-    if table.caption:
-        console.print(table.caption, style="dim", markup=False, highlight=False)
+    if table.note:
+        console.print(table.note, style="dim", markup=False, highlight=False)
 
 
 def _grid(table: Table, columns: Sequence[Column]) -> RichTable:

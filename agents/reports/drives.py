@@ -14,6 +14,7 @@ from agents.evaluation.drives import map_path
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.tables import (
+    INTERVALS,
     Column,
     Rows,
     Table,
@@ -116,11 +117,11 @@ def headline(frame: pd.DataFrame) -> list[Table]:
             gaps[name] = {
                 setting: difference(some, of_truth[setting], "map_error", mean) for setting, some in settings.items()
             }
-    caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
+    caption = f"mean map error{INTERVALS}; {LOST_MEANS}"
     shown = [*means, Column("median", "median"), lost]
     tables = [Table("Map error", "associator", shown, errors, caption)]
     if gaps:
-        caption = "mean over the same episodes, 95 % bootstrap interval"
+        caption = f"mean over the same episodes{INTERVALS}"
         title = "Map error above that of true association with the same relocation"
         tables.append(Table(title, "associator", means, gaps, caption, differences=True))
     return tables

@@ -53,6 +53,8 @@ def test_a_few_values_have_no_interval_and_are_told_from_nothing() -> None:
     assert np.isnan([alone.low, alone.high, apart.low, apart.high]).all()
     assert best_names({"a": alone, "b": apart}, LOWER) == set()
     assert np.isfinite(estimate([0.2, 0.4] * 5).low) and np.isnan(estimate(np.arange(12), np.arange(12)).low)
+    few, many = (Table("Few", "name", [LOWER], {"a": {"error": value}}) for value in (alone, estimate([0.2, 0.4] * 5)))
+    assert few.note == "interquartile mean" and many.note == "interquartile mean, 95 % bootstrap interval"
 
 
 def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_place():
