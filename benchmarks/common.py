@@ -1,4 +1,4 @@
-"""Shared code of the benchmarks: options, tables, timing, simulated point measurements, and judged relocations."""
+"""Shared code of the benchmarks: options, tables, timing, a drive in lanes, and judged relocations."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from slam_gym import Landmarks, Locality, Scan
-from slam_gym.geometry import observe, wrap_angle
-from slam_gym.types import Array, IntArray, Relocation, Relocator
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import Array, Relocation, Relocator
 
 Record = dict[str, Any]
 
@@ -54,9 +54,6 @@ def data_folder() -> Path | None:
     return Path(os.environ["SLAM_GYM_DATA"])
 
 
-# -- timing ----------------------------------------------------------------------------------------------------------
-
-
 def timed(
     call: Callable[..., Any], *arguments: Any, clock: Callable[[], int] = time.thread_time_ns
 ) -> tuple[Any, float]:
@@ -77,31 +74,10 @@ def resident() -> float:
     return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 if statm.exists() else math.nan
 
 
-# -- sensing ---------------------------------------------------------------------------------------------------------
-
-
-def features_in_view(features: Array, pose: Array, reach: float, field_of_view: float = math.tau) -> IntArray:
-    """Rows of `features` (n, 2) [m] within `reach` [m] of a pose (3,) and within the `field_of_view` [rad]."""
-    near = np.flatnonzero(np.abs(features - pose[:2]).max(axis=1, initial=0.0) <= reach)
-    local = observe(pose, np.ascontiguousarray(features[near]))
-    ahead = np.abs(np.arctan2(local[:, 1], local[:, 0])) <= 0.5 * field_of_view
-    return near[ahead & (np.hypot(local[:, 0], local[:, 1]) <= reach)]
-
-
-def clutter(count: int, reach: float, field_of_view: float, rng: np.random.Generator) -> Array:
-    """Points (count, 2) [m] in R, uniform over the field of view of the sensor."""
-    radius = reach * np.sqrt(rng.random(count))
-    bearing = rng.uniform(-0.5 * field_of_view, 0.5 * field_of_view, count)
-    return np.column_stack([radius * np.cos(bearing), radius * np.sin(bearing)])
-
-
 def lanes(side: float, between: float, step: float) -> Array:
     """Poses (w, 3) of a drive in lanes over a square, all with heading 0."""
     across, along = np.arange(min(between, side) / 2.0, side, between), np.arange(0.0, side, step)
     return np.array([(x, y, 0.0) for k, y in enumerate(across) for x in along[:: 1 if k % 2 == 0 else -1]])
-
-
-# -- relocation ------------------------------------------------------------------------------------------------------
 
 
 class Tolerance(NamedTuple):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from benchmarks.common import Record, data_folder, features_in_view, options, proportion, table, timed
+from benchmarks.common import Record, data_folder, options, proportion, table, timed
 from benchmarks.recordings import reference
 from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec
 from slam_gym.geometry import compose, observe, relative
@@ -28,6 +28,7 @@ from slam_gym.metrics.consistency import pose_nees
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array, IntArray, Truth
 
 METHODS = ("standard", "right-invariant", "local maps")

@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from benchmarks.common import Record, Tolerance, clutter, fastest, options, table, timed
+from benchmarks.common import Record, Tolerance, fastest, options, table, timed
 from slam_gym import Landmarks, Scan
 from slam_gym.association.relocation.triangles import FeatureIndex
 from slam_gym.geometry import observe
+from slam_gym.simulation.surveyed_field import clutter
 from slam_gym.types import Array
 
 SIGMA = 0.05  # [m] of features in the map, and of measurements

@@ -19,12 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.common import Record, clutter, fastest, features_in_view, lanes, options, table
+from benchmarks.common import Record, fastest, lanes, options, table
 from slam_gym import ASSOCIATORS, UNPAIRED, MapSpec, Odometry, Prediction, Scan, StochasticMap, jcbb
 from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import predict
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.simulation.judged import CEILING
+from slam_gym.simulation.surveyed_field import clutter, features_in_view
 from slam_gym.types import Array, IntArray
 
 DENSITY = 0.6  # [1/m²]

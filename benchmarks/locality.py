@@ -1,9 +1,7 @@
 """The effort that locality saves in relocation, compared with the bound of the source (Eq. 9.22), and its losses.
 
-A square field of point features (0.02 per m²) is mapped in one lawn-mower pass, in lanes 12 m apart, by a robot with a
-sensor of 15 m and 180°. Its odometry drifts between stations along the pass, and features seen again from the previous
-lane link each station to its neighbour there: errors are large over the map and small between neighbours, as in a
-stochastic map. Then the robot is lost, and scans once: m measurements, a quarter spurious, without sizes and kinds.
+A surveyed field (`slam_gym.simulation.surveyed_field`) is a map with correlated errors. The robot is lost in it,
+and scans once: m measurements, a quarter spurious, without sizes and kinds.
 
 Tables: sizes of the localities, hypotheses of the unpruned tree and losses of each locality; effort of GCBB (also with
 measurements ordered from the centre of the scan outwards) and of random sampling (RS) against n, with exponents;
@@ -18,184 +16,19 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
-from benchmarks.common import Record, Tolerance, attempt, clutter, count_answers, features_in_view, options, table
-from slam_gym import UNPAIRED, Landmarks, Locality, Scan, gcbb, random_sampling
+from benchmarks.common import Record, Tolerance, attempt, count_answers, options, table
+from slam_gym import UNPAIRED, Locality, gcbb, random_sampling
 from slam_gym.association.relocation.location import locate
-from slam_gym.geometry import observe
-from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import (
-    covisible,
-    hypothesis_bound,
-    hypothesis_count,
-    locality_sizes,
-    same_local_map,
-    within,
-)
-from slam_gym.types import Array, IntArray, Relocator
+from slam_gym.mapping.locality import hypothesis_bound, hypothesis_count, locality_sizes
+from slam_gym.simulation.surveyed_field import LOCALITIES, FieldScan, SurveyedField, surveyed_field
+from slam_gym.types import IntArray, Relocator
 
-LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
 NEAR = Tolerance(1.0, math.radians(5.0))  # around the pose by the true pairings
-DENSITY = 0.02  # [1/m²]
-REACH = 15.0  # [m] of the sensor, over the half plane ahead
-LANE, STATION = 12.0, 20.0  # [m] between lanes, at most; between nodes of the network that carries the drift
-ALONG, ACROSS, OWN = 0.15, 0.10, 0.05  # [m] σ from station to station, to the previous lane, of a feature itself
-RANGE_SIGMA, BEARING_SIGMA = 0.05, math.radians(0.25)  # of the sensor
 LARGEST = 3_200  # features of a map that is searched without a locality
-LOCAL_MAP = 50  # features after which a new local map begins
-
-
-@dataclass(frozen=True)
-class SurveyedField:
-    """A mapped field. Features are numbered in the order in which they were first seen."""
-
-    side: float  # [m]
-    features: Array  # (n, 2) [m] true, in W = B
-    landmarks: Landmarks
-    path: Array  # (k, 3) [m, m, rad] poses of the mapping pass
-    in_scan: CovisibilityGraph  # seen in one scan
-    in_map: CovisibilityGraph  # seen during one local map; each map has its own copies of features
-    map_of: IntArray  # (n,) local map in which each feature was first seen
-
-    def locality(self, name: str) -> Locality | None:
-        """One of `LOCALITIES`. Local maps: features seen during the same one; joined: each belongs to the oldest."""
-        return {
-            "covisibility": lambda: covisible(self.in_scan),
-            "two hops": lambda: covisible(self.in_scan, hops=2),
-            "within 2r": lambda: within(self.landmarks.positions, 2.0 * REACH),
-            "local maps": lambda: covisible(self.in_map),
-            "joined maps": lambda: same_local_map(self.map_of),
-            "everything": lambda: None,
-        }[name]()
-
-
-@dataclass(frozen=True)
-class FieldScan:
-    """One scan to be relocated, and the truth behind it."""
-
-    scan: Scan
-    truth: IntArray  # (m,) feature behind each measurement, UNPAIRED for spurious ones
-    pose: Array  # (3,) [m, m, rad] true, in W; NaN where it lies outside the map
-
-
-def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
-    """Draw a field of n features and map it in one pass."""
-    side = math.sqrt(n / DENSITY)
-    features, (poses, arcs) = side * rng.random((n, 2)), lawn_mower_pass(side)
-    seen = [features_in_view(features, pose, REACH, math.pi) for pose in poses]
-    first = np.full(n, len(poses))
-    for k in range(len(poses) - 1, -1, -1):
-        first[seen[k]] = k
-    order = np.argsort(first, kind="stable")
-    number = np.argsort(order)
-    features, first = features[order], first[order]
-    in_scan, in_map = CovisibilityGraph(), CovisibilityGraph()
-    in_scan.add(n)
-    in_map.add(n)
-    map_number, members = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
-    for k, rows in enumerate(seen):
-        in_scan.see_together(np.sort(number[rows]))
-        members = np.union1d(members, number[rows])
-        map_number[k + 1 :] += len(members) >= LOCAL_MAP
-        if len(members) >= LOCAL_MAP or k == len(seen) - 1:
-            in_map.see_together(members)
-            members = np.empty(0, np.int64)
-    landmarks = drifted_map(features, poses, arcs, first, rng)
-    return SurveyedField(side, features, landmarks, poses, in_scan, in_map, map_number[first])
-
-
-def lawn_mower_pass(side: float) -> tuple[Array, Array]:
-    """Poses (k, 3), a metre apart, in lanes over a square of `side` [m]; and the path length (k,) [m] to each."""
-    count = max(1, math.ceil(side / LANE))
-    heights = (np.arange(count) + 0.5) * side / count
-    corners = [(x, y) for k, y in enumerate(heights) for x in ((0.0, side) if k % 2 == 0 else (side, 0.0))]
-    poses, arcs, start = [], [], 0.0
-    for (x0, y0), (x1, y1) in itertools.pairwise(corners):
-        length, heading = math.hypot(x1 - x0, y1 - y0), math.atan2(y1 - y0, x1 - x0)
-        along = np.arange(0.0, length, 1.0)
-        leg = (x0 + along * math.cos(heading), y0 + along * math.sin(heading), np.full(len(along), heading))
-        poses.append(np.column_stack(leg))
-        arcs.append(start + along)
-        start += length
-    return np.concatenate(poses), np.concatenate(arcs)
-
-
-def drifted_map(features: Array, poses: Array, arcs: Array, first: IntArray, rng: np.random.Generator) -> Landmarks:
-    """The map of features (n, 2) first seen from poses `first` (n,), with exact cross-covariances.
-
-    It contains only those of pairs that a scan can span: other pairs fail the distance test, and all take 5 GB for
-    12 800 features.
-    """
-    K, n = station_covariance(poses, arcs), len(features)
-    low = np.minimum((arcs[first] / STATION).astype(np.int64), len(K) - 2)  # the previous station
-    weight = arcs[first] / STATION - low  # of the next station
-    drift = np.linalg.cholesky(K) @ rng.standard_normal((len(K), 2))
-    drift = (1.0 - weight)[:, None] * drift[low] + weight[:, None] * drift[low + 1]
-    positions = features + drift + OWN * rng.standard_normal((n, 2))
-
-    def between(j: IntArray, l: IntArray) -> Array:
-        """Covariance [m²] per axis of the errors at the places from which features j and l were first seen."""
-        a, b = weight[j], weight[l]
-        before = (1 - a) * ((1 - b) * K[low[j], low[l]] + b * K[low[j], low[l] + 1])
-        return np.asarray(before + a * ((1 - b) * K[low[j] + 1, low[l]] + b * K[low[j] + 1, low[l] + 1]))
-
-    variances = between(np.arange(n), np.arange(n)) + OWN**2
-    spanned = within(positions, 2.0 * REACH + 6.0 * math.sqrt(2.0 * variances.max()))
-    row = np.repeat(np.arange(n), np.diff(spanned.starts))
-    cross = np.where(row == spanned.members, variances[row], between(row, spanned.members))
-    blocks = np.ascontiguousarray(cross[:, None, None] * np.eye(2))
-    independent = Landmarks.from_points(positions, variances[:, None, None] * np.eye(2))
-    return replace(independent, block_starts=spanned.starts, block_columns=spanned.members, blocks=blocks)
-
-
-def station_covariance(poses: Array, arcs: Array) -> Array:
-    """Covariance (s, s) [m²] per axis of the error at each station: the inverse of the network's precision.
-
-    Odometry links each station to the next; features seen again link it to the nearest one of the previous lane.
-    """
-    count = math.ceil(arcs[-1] / STATION) + 1
-    places = poses[np.minimum(np.searchsorted(arcs, STATION * np.arange(count)), len(poses) - 1), :2]
-    links = [(k, k + 1, ALONG) for k in range(count - 1)]
-    for k, near in enumerate(cKDTree(places).query_ball_point(places, 1.01 * math.hypot(LANE, 0.5 * STATION))):
-        before = [l for l in near if l < k - 2]
-        if before:
-            gaps = np.hypot(*(places[before] - places[k]).T)
-            links.append((k, before[int(gaps.argmin())], ACROSS))
-    precision = np.zeros((count, count))
-    precision[0, 0] = 1.0 / OWN**2  # the map's base is the start of the pass
-    for k, l, sigma in links:
-        precision[[k, l], [k, l]] += sigma**-2
-        precision[[k, l], [l, k]] -= sigma**-2
-    covariance = np.linalg.inv(precision)
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def inside(field: SurveyedField, m: int, spurious: int, rng: np.random.Generator) -> FieldScan:
-    """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map."""
-    seen = np.empty(0, np.int64)
-    while len(seen) < m - spurious:
-        pose = np.array([*(field.side * rng.random(2)), rng.uniform(-math.pi, math.pi)])
-        seen = features_in_view(field.features, pose, REACH, math.pi)
-    seen = rng.permutation(seen)[: m - spurious]
-    points = np.concatenate([observe(pose, field.features[seen]), clutter(spurious, REACH, math.pi, rng)])
-    truth, order = np.concatenate([seen, np.full(spurious, UNPAIRED)]), rng.permutation(m)
-    return FieldScan(measured(points[order], rng), truth[order], pose)
-
-
-def outside(m: int, rng: np.random.Generator) -> FieldScan:
-    """A scan of m measurements from a place outside the map."""
-    return FieldScan(measured(clutter(m, REACH, math.pi, rng), rng), np.full(m, UNPAIRED), np.full(3, np.nan))
-
-
-def measured(points: Array, rng: np.random.Generator) -> Scan:
-    ranges = np.abs(np.hypot(*points.T) + RANGE_SIGMA * rng.standard_normal(len(points)))
-    bearings = np.arctan2(points[:, 1], points[:, 0]) + BEARING_SIGMA * rng.standard_normal(len(points))
-    return Scan.from_polar(ranges, bearings, RANGE_SIGMA, BEARING_SIGMA)
 
 
 def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Relocator]:
@@ -232,7 +65,7 @@ def sweep(
         for number in range(maps := min(max(3200 // n, 1), 5, scans)):
             rng = np.random.default_rng([seed, n, m, number])
             area = surveyed_field(n, rng)
-            drawn = [inside(area, m, m // 4, rng) for _ in range(number, scans, maps)]
+            drawn = [area.scan_inside(m, m // 4, rng) for _ in range(number, scans, maps)]
             for name in LOCALITIES:
                 locality, key = area.locality(name), {"locality": name, "n": n, "m": m}
                 localities.append(key | figures(n, m, locality, [scan.truth for scan in drawn]))
@@ -280,8 +113,8 @@ def inside_and_outside(search: Relocator, name: str, n: int, m: int, scans: int,
         area = surveyed_field(n, rng)
         locality = area.locality(name)
         for _ in range(number, scans, maps):
-            rows.append(relocate(search, area, inside(area, m, m // 4, rng), locality))
-            rows.append(relocate(search, area, outside(m, rng), locality))
+            rows.append(relocate(search, area, area.scan_inside(m, m // 4, rng), locality))
+            rows.append(relocate(search, area, area.scan_outside(m, rng), locality))
     return pd.DataFrame(rows)
 
 

@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation.mapped_log import map_log
-from benchmarks.common import Tolerance, attempt, count_answers, data_folder, features_in_view, options, table
+from benchmarks.common import Tolerance, attempt, count_answers, data_folder, options, table
 from slam_gym import Landmarks, Locality, Scan, Slam, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, within
@@ -36,6 +36,7 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
+from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array, IntArray, Truth
 
 KNOWN = 3  # least number of mapped trunks in a scan from inside

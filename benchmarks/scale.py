@@ -21,10 +21,11 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 from scipy.spatial import cKDTree
 
-from benchmarks.common import Record, features_in_view, lanes, options, resident, table, timed
+from benchmarks.common import Record, lanes, options, resident, table, timed
 from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec, StochasticMap, jcbb
 from slam_gym.geometry import observe, relative, transform
 from slam_gym.mapping.covisibility import Edges, graph_of
+from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array
 
 PAIRINGS = 10

@@ -30,6 +30,7 @@ from slam_gym.geometry import compose, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering.plot import plot_episode, plot_scan
 from slam_gym.scenarios import SCENARIOS
+from slam_gym.simulation.surveyed_field import surveyed_field
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED
 from slam_gym.world import corridor
@@ -190,8 +191,6 @@ def save_film(name: str, frames: list[Image.Image]) -> None:
 
 def locality() -> None:
     """Four localities of one feature in a map that was made in one pass."""
-    from benchmarks.locality import surveyed_field
-
     area = surveyed_field(200, np.random.default_rng(5))
     first = int(np.argmin(np.hypot(*(area.landmarks.positions - [45.0, 50.0]).T)))
     titles = {

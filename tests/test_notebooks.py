@@ -75,11 +75,9 @@ def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -
         assert output.output_type != "error" and output.get("name") != "stderr"
 
 
-@pytest.mark.parametrize("name", ["01_quickstart", "02_why_joint_compatibility", "05_drift"])
-def test_what_runs_from_an_installed_wheel_imports_nothing_else(name: str) -> None:
-    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
-    code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
-    assert not re.search(r"^(from|import) (agents|benchmarks|tests)\b", code, re.MULTILINE)
+def test_a_notebook_runs_from_an_installed_wheel(committed: Any) -> None:
+    code = "\n".join(cell.source for cell in committed.cells if cell.cell_type == "code")
+    assert not re.search(r"^ *(from|import) (agents|benchmarks|tests)\b", code, re.MULTILINE)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS[:5], ids=lambda path: path.stem)

@@ -104,7 +104,8 @@ def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: A
 
     def line(path: Path, colour: str, width: float) -> None:
         ends = [place[path[:-1]], place[path]], [1 - len(path), -len(path)]
-        ax.plot(*ends, "-" if legal[path] else ":", color=colour, lw=width, zorder=width)
+        order = 1.0 if colour == GREY else 6.0 - width
+        ax.plot(*ends, "-" if legal[path] else ":", color=colour, lw=width, zorder=order)
 
     for path, fits in legal.items():
         line(path, GREY, 0.8)
@@ -113,7 +114,7 @@ def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: A
         ax.text(place[path], -len(path), name, ha="center", va="center", fontsize=7, color=INK, zorder=7)
     for k, ((name, path), colour) in enumerate(zip(paths.items(), (RED, GREEN, BLUE, YELLOW, INK))):
         for end in range(1, len(path) + 1):
-            line(path[:end], colour, 4.5 - 1.3 * k)  # those below stay visible
+            line(path[:end], colour, 4.5 - 1.3 * k)  # thinner ones above thicker ones
         ax.plot([], [], color=colour, lw=2.5, label=name)
     levels = [f"$z_{{{i}}}$" for i in tree.candidates.measurements.tolist()]
     ax.set(xticks=[], xlabel="", ylabel="measurement", yticks=-1 - np.arange(tree.levels), yticklabels=levels)

@@ -6,10 +6,11 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from benchmarks.locality import inside, losses, surveyed_field
+from benchmarks.locality import losses
 from slam_gym.association import gcbb, max_clique, random_sampling
 from slam_gym.association.relocation import cliques
 from slam_gym.mapping.locality import locality_sizes
+from slam_gym.simulation.surveyed_field import surveyed_field
 from tests.oracles import relocation as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -121,7 +122,7 @@ def test_the_first_pairing_tests_every_feature_once_and_all_others_only_its_loca
     area = surveyed_field(300, rng)
     local = area.locality(name)
     for _ in range(5):
-        effort = gcbb(inside(area, 6, 1, rng).scan, area.landmarks, local).effort
+        effort = gcbb(area.scan_inside(6, 1, rng).scan, area.landmarks, local).effort
         assert effort.unary_tests <= 6 * 300 + effort.nodes * locality_sizes(local, 300).max()
 
 
@@ -135,7 +136,7 @@ def test_localities_do_not_grow_with_the_map(name: str) -> None:
 def test_covisibility_loses_what_two_hops_and_distance_find() -> None:
     rng = np.random.default_rng(7)
     area = surveyed_field(200, rng)
-    truths = [inside(area, 8, 2, rng).truth for _ in range(40)]
+    truths = [area.scan_inside(8, 2, rng).truth for _ in range(40)]
     lost = {
         name: losses(truths, area.locality(name)) for name in ("everything", "within 2r", "two hops", "covisibility")
     }
