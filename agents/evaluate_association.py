@@ -74,7 +74,7 @@ def main(
     _check_options_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
     out = execution.folder(kind)
     if suite:
-        from agents.suite.worlds import suite_evaluation
+        from agents.suite import suite_evaluation
         from slam_gym.association import RELOCATORS
 
         relocators = candidates.relocation or list(RELOCATORS)
@@ -82,7 +82,7 @@ def main(
     elif recording:
         evaluate(_on_logs(candidates, recorded, recording, out), execution, out)
     else:
-        from agents.evaluation.drives import associator_evaluation
+        from agents.evaluation.drives import Driver, associator_evaluation
         from slam_gym.slam.relocate import SEARCH
 
         loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches(["none", SEARCH])
@@ -90,14 +90,14 @@ def main(
         evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
         films: list[Callable[[], Path]] = []
         if film:
-            from agents.reports.film import beside  # imports ffmpeg and pygame, which only films need
+            from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 
-            films = beside(loops[0], loop.driver, candidates.names, loop.seed, out)
+            films = films_of([Driver(loop.driver)], loops[0], loop.seed, out, candidates.names)
         evaluate(evaluation, execution, out, films)
 
 
 def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Path) -> Evaluation:
-    from agents.evaluation.recordings import logs_of, recording_evaluation
+    from agents.evaluation.mapped_log import logs_of, recording_evaluation
     from slam_gym.slam.relocate import SEARCH
 
     logs = logs_of(recorded, recording)

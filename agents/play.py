@@ -1,15 +1,209 @@
-"""`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`."""
+"""`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`.
+
+A game has controls by keyboard or gamepad, a window, and a world to drive in.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
 from typer import Option
 
 from agents.cli import command
 from agents.options import World
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
+
+if TYPE_CHECKING:
+    from agents.drivers.base import ActionKind, Agent, Info, Observation
+    from agents.evaluation.episodes import ExploreArguments
+    from slam_gym.association.prediction import Prediction
+
+HELP = """\
+  ↑ ↓ or W S   forward, backward        N   next world
+  ← → or A D   turn                     R   this world again
+  left stick   both                     C   another associator, from the next scan on
+  Esc          quit                     L   relocation on or off
+
+You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
+has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
+where it has been, to make the ellipses shrink. At the end your map error is compared with that of information gain."""
+KEYS = "arrows or WASD drive   C associator   L relocation   R again   N next world   Esc quit"
+RIVAL = "information_gain"
+
+WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
+"""The requests of the player, and their keys by pygame's names."""
+
+_IDLE = 0.15  # smaller values of a gamepad's stick are its rest position
+_BAR, _INK, _PALE = (28, 32, 38), (240, 240, 240), (170, 178, 188)
+_LINE = 18  # [pixels]
+
+
+class Controls:
+    """The player's controls: the keys that are down, the positions of the sticks, and requests."""
+
+    name = "you"
+    action: ActionKind = "twist"
+
+    def __init__(self) -> None:
+        import pygame  # extra `render`; the window delivers the keys
+
+        self._pygame = pygame
+        directions = {(1, 0): ("UP", "w"), (-1, 0): ("DOWN", "s"), (0, 1): ("LEFT", "a"), (0, -1): ("RIGHT", "d")}
+        self._keys = {getattr(pygame, f"K_{key}"): way for way, keys in directions.items() for key in keys}
+        self._wishes = {getattr(pygame, key): wish for wish, key in WISHES.items()}
+        self._pads: list[Any] = []
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        self._down: set[int] = set()
+        self._sticks: dict[int, float] = {}
+
+    def act(self, observation: Observation, info: Info) -> NDArray[np.float32]:
+        held = {self._keys[key] for key in self._down & self._keys.keys()}
+        pushed = {axis: value for axis, value in self._sticks.items() if abs(value) > _IDLE}
+        sticks = (-pushed.get(1, 0.0), -pushed.get(0, 0.0))  # right and down are positive
+        return np.clip(np.sum([*held, sticks], axis=0), -1.0, 1.0).astype(np.float32)
+
+    def poll(self) -> str | None:
+        """Process the events since the last call; returns one of `WISHES` where the player asked for it."""
+        pygame, wish = self._pygame, None
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                return "quit"
+            if event.type == pygame.KEYDOWN:
+                self._down.add(event.key)
+                wish = self._wishes.get(event.key, wish)
+            elif event.type == pygame.KEYUP:
+                self._down.discard(event.key)
+            elif event.type == pygame.JOYDEVICEADDED:
+                self._pads.append(pygame.joystick.Joystick(event.device_index))
+            elif event.type == pygame.JOYAXISMOTION:
+                self._sticks[event.axis] = event.value
+        return wish
+
+
+class Screen:
+    """A resizable window with the environment's picture, and lines of text below it."""
+
+    def __init__(self, fps: float) -> None:
+        from slam_gym.rendering.canvas import Window  # extra `render`
+
+        self.window = Window("slam_gym", fps, resizable=True)
+
+    def show(self, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
+        """Show a picture (h, w, 3); the last line is pale."""
+        from slam_gym.rendering.canvas import pygame, text
+
+        height, width, _ = pixels.shape
+        surface = pygame.Surface((width, height + _LINE * (len(lines) + 1)), depth=32)
+        surface.fill(_BAR)
+        surface.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
+        for k, line in enumerate(lines):
+            colour = _PALE if k == len(lines) - 1 else _INK
+            surface.blit(text(line, 13, colour), (_LINE // 2, height + _LINE // 2 + k * _LINE))
+        self.window.show(surface)
+
+
+@dataclass
+class Game:
+    """The settings of a game, including those that the player can switch while it runs."""
+
+    arguments: ExploreArguments
+    agent: Agent
+    controls: Controls
+    associators: deque[str]  # the first is in use; empty for true association, which cannot be switched
+    relocating: bool
+    rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
+
+    def make(self) -> gym.Env[Any, Any]:
+        """The environment, in which the player selects the associator, and switches relocation."""
+        associator = self.associate if self.associators else None
+        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
+
+    def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        """The hypothesis of the selected associator."""
+        from agents.evaluation.associators import find_associator
+
+        return find_associator(self.associators[0])(scan, prediction)
+
+    def relocate(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+        """The result of the relocation search, or no pose while relocation is off."""
+        from slam_gym.association import resolve_relocator
+        from slam_gym.slam.relocate import SEARCH
+
+        if self.relocating:
+            return resolve_relocator(self.arguments.relocation or SEARCH)(scan, landmarks, locality)
+        unpaired = np.full(len(scan), UNPAIRED)
+        return Relocation(unpaired, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
+
+    def rival(self, world: int) -> float:
+        """The map error of information gain in a world, with the scenario's associator."""
+        from agents.drivers.base import make_agent
+        from agents.evaluation.episodes import run_episode
+
+        if world not in self.rivals:
+            rival = make_agent(RIVAL)
+            env = self.arguments.make(rival.action)
+            self.rivals[world] = float(run_episode(env, rival, world)["map_error"])
+            env.close()
+        return self.rivals[world]
+
+    def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
+        """The text below the picture."""
+        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
+        associator = self.associators[0] if self.associators else "true_association"
+        relocation = "on" if self.relocating else "off"
+        state = (
+            f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
+            f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
+        )
+        return [state, *([verdict] if verdict else []), KEYS]
+
+
+def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
+    """Play one world; returns the request that ended it. After the last tick, the picture stays until a request."""
+    from agents.drivers.base import visible
+    from agents.evaluation.episodes import begin_episode
+
+    observation, info = begin_episode(env, game.agent, world)
+    count, ended, verdict = 0, False, ""
+    while True:
+        picture: Any = env.render()
+        screen.show(picture, game.lines(env, verdict))
+        if count == 0 and not screen.window.is_visible:
+            print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
+        if count == steps:
+            return "quit"
+        wish = game.controls.poll()
+        if wish == "associator":
+            game.associators.rotate(-1)
+        elif wish == "relocation":
+            game.relocating = not game.relocating
+        elif wish is not None:
+            return wish
+        if not ended:
+            observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
+            count += 1
+            if ended:
+                verdict = _verdict(game, world, info)
+                print(verdict)
+
+
+def _verdict(game: Game, world: int, info: Info) -> str:
+    quality, rival = info["map_quality"], game.rival(world)
+    own = float(quality["map_error"])
+    who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
+    return (
+        f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
+        f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
+    )
 
 
 def main(
@@ -24,7 +218,6 @@ def main(
     """Drive the robot, or watch an agent drive."""
     from agents.drivers.base import make_agent
     from agents.evaluation.associators import SIMPLEST_FIRST
-    from agents.game import HELP, KEYS, Controls, Game, Screen, play
     from slam_gym.simulation.judged import CEILING
 
     watched = make_agent(agent, model) if agent else None

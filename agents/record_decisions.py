@@ -29,10 +29,13 @@ class Decided(NamedTuple):
     world: int
 
 
-def decisions(env: gym.Env[Any, Any], associator: str | Callable[..., Any], worlds: range) -> Iterator[Decided]:
+def decisions(
+    env: gym.Env[Any, Any], associator: str | Callable[..., Any], worlds: range, mistakes: float = 0.0
+) -> Iterator[Decided]:
     """The episode of Associate-v0 in each world, decided by an associator; `true_association` uses the truth.
 
-    A measurement whose feature is not on offer is left unpaired. Raises ValueError for an unknown associator.
+    A measurement whose feature is not on offer is left unpaired. A fraction of `mistakes` is decided at random, so that
+    states after a wrong decision occur as well. Raises ValueError for an unknown associator.
     """
     from agents.evaluation.episodes import reset_arguments
     from slam_gym.association import resolve_associator
@@ -40,6 +43,7 @@ def decisions(env: gym.Env[Any, Any], associator: str | Callable[..., Any], worl
 
     associate, bare, uses_truth = resolve_associator(associator), env.unwrapped, associator == CEILING
     for world in worlds:
+        rng = np.random.default_rng((world, 3))
         observation, info = env.reset(**reset_arguments(world))
         observations, steps, look, over, answer = [observation], [], -1, False, None
         while not over:
@@ -49,6 +53,8 @@ def decisions(env: gym.Env[Any, Any], associator: str | Callable[..., Any], worl
             action = right if uses_truth else bare.action_of(answer)  # type: ignore[attr-defined]
             if action is None or action < 0:
                 action = bare.K  # type: ignore[attr-defined]
+            if rng.random() < mistakes:
+                action = int(rng.choice(np.flatnonzero(mask)))
             observation, reward, terminated, truncated, info = env.step(action)
             over = terminated or truncated
             observations.append(observation)

@@ -59,7 +59,6 @@ ROOMS = {
     "agents.drivers": "Drivers",
     "agents.learning": "Learned drivers and associators",
     "agents.evaluation": "Running evaluations",
-    "agents.suite": "The suite of association problems",
     "agents.reports": "Tables, figures, films, pages",
 }
 """Packages in the order of the reference, and what each is about. The page of a package documents its modules."""

@@ -82,17 +82,13 @@ class Clairvoyant(GoalDriver):
             seen, rest = ways.seen[0, there[k]], left - ticks[k]
             gain = gained(known, seen, worth)
             if rest > 0.0:
-                early = EARLY * rest / left
-                values[k] = gain * (1.0 + early) + self._best_tour(there[k], rest, known | seen, worth, early)
+                early, tours = EARLY * rest / left, self._views.ways
+                start = OVERHEAD + tours.lengths[:, there[k]] / SPEED, np.ascontiguousarray(tours.seen[:, there[k]])
+                gain_after = best_tour(start, self._between, rest, known | seen, worth, self._chance, early)
+                values[k] = gain * (1.0 + early) + gain_after
             else:
                 values[k] = gain * left / ticks[k]
         return values
-
-    def _best_tour(self, cell: np.int64, left: float, known: Bits, worth: Array, early: float) -> float:
-        """The gain of the best tour from a cell in the remaining ticks."""
-        ways = self._views.ways
-        start = OVERHEAD + ways.lengths[:, cell] / SPEED, np.ascontiguousarray(ways.seen[:, cell])
-        return best_tour(start, self._between, left, known, worth, self._chance, early)
 
 
 def mapped_already(episode: Episode) -> Bits:

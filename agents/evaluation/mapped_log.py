@@ -1,4 +1,5 @@
-"""EKF-SLAM over a log: the run from first to last step, its measures, and the files with its results.
+"""EKF-SLAM over logs: the run from first to last step, its measures, the files with its results, and the evaluation of
+every associator on every log.
 
 LOG.reference.tum           poses of the reference, where it has headings
 LOG.ASSOCIATOR.tum          poses of the robot, in the frame of its map
@@ -11,22 +12,28 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import metered
+from agents.evaluation.associators import contenders, metered
+from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem, written_whole
+from agents.options import Recorded
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.smoothing import smooth
 from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
+from slam_gym.recordings import open_recordings
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
@@ -263,3 +270,62 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
     for name, frame in frames.items():
         with written_whole(folder / name) as partial:
             frame.to_csv(partial, index=False, float_format="%.9g")
+
+
+# -- the evaluation ---------------------------------------------------------------------------------------------------
+
+
+def logs_of(options: Recorded, recording: str) -> list[Recording]:
+    """All logs of a recording, prepared for mapping by the options.
+
+    Raises as `open_recordings` does, and ValueError for --robots with another recording than mrclam.
+    """
+    if options.robots and recording != "mrclam":
+        raise ValueError(f"--robots is for mrclam, not for {recording}")
+    logs = open_recordings(recording, options.data, options.robots, reference=options.reference)
+    return [surveyed(log.every(options.every) if options.every > 1 else log) for log in logs]
+
+
+def surveyed(log: Recording) -> Recording:
+    """The log with the batch solution for its identities as its landmarks and reference, where it has none.
+
+    Maps are then compared with the best map that the log allows.
+    """
+    if len(log.landmarks) or not (log.sources >= 0).any():
+        return log
+    best = smoothed(map_log(log, CEILING, slam_for(log)))
+    if best is None:
+        return log
+    known = best.features[best.features["identity"] >= 0]
+    ids, places = known["identity"].to_numpy(), np.ascontiguousarray(known[["x", "y"]].to_numpy())
+    log = replace(log, landmark_ids=ids, landmarks=places)
+    if len(log.reference_times):
+        return log
+    return replace(log, reference_times=log.times, reference_poses=best.poses * [1.0, 1.0, math.nan])
+
+
+def map_and_measure(log: Recording, name: str, associator: str, relocation: str | None, folder: Path) -> list[Record]:
+    """Map one log with an associator and a relocation search, and write trajectory and map to a folder."""
+    mapped = map_log(log, associator, slam_for(log), relocation)
+    write_mapped_log(folder, name, mapped)
+    return [{"source": log.source} | measure(mapped)]
+
+
+def recording_evaluation(
+    associators: Sequence[str],
+    logs: Sequence[Recording],
+    conditions: dict[str, Any],
+    out: Path,
+    relocations: Sequence[str | None],
+) -> Evaluation:
+    """The evaluation of every associator with every relocation on every log; files go to a folder in `out`.
+
+    Raises ValueError for an unknown associator or relocator.
+    """
+    tasks = [
+        Task([Key(name, log.name, 0)], partial(map_and_measure, log, name, *searches, out / FOLDER))
+        for log in logs
+        for name, searches in contenders(associators, relocations).items()
+    ]
+    settings = {log.name: asdict(slam_for(log)) for log in logs}
+    return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, {"settings": settings})

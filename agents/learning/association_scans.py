@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.episodes import AssociateArguments, reset_arguments
-from agents.suite.problems import TwoLaps, problems
+from agents.suite import problems
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.learned import examples
@@ -26,7 +25,7 @@ from slam_gym.scenarios.registry import slam_for
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, DrivenRun, LoggedRun, ScanLog
 from slam_gym.simulation.episode import survey
-from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
+from slam_gym.simulation.judged import RightAnswers
 from slam_gym.simulation.recorded_logs import reference_poses
 from slam_gym.types import UNLABELLED, UNPAIRED, BoolArray, IntArray, Scan, Truth
 
@@ -155,7 +154,7 @@ class Source:
         level = get_level(self.name)
         sensor = replace(level.scenario.sensor, kinds="not kinds" in self.hidden)
         level = replace(level, scenario=replace(level.scenario, sensor=sensor))
-        for problem in problems(TwoLaps(level, self.world, "train"), count):
+        for problem in problems(level, self.world, count, "train"):
             found = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)
             if found is not None:
                 yield found
@@ -223,34 +222,3 @@ def _doubtful(d: Decisions) -> bool:
     best = d.hypotheses[np.argmax(weights)]
     right = np.where(best < 0, d.unpaired, np.append(d.right, False)[best])
     return bool(weights.max() < (1.0 - _DOUBT) * weights.sum() or not right[d.known].all())
-
-
-# -- decisions of Associate-v0 -----------------------------------------------------------------------------------------
-
-
-def labelled_decisions(
-    arguments: AssociateArguments, worlds: Iterable[int], mistakes: float = 0.1
-) -> dict[str, NDArray[Any]]:
-    """Observations of Associate-v0 (D, …) by name, for supervised learning; beside them `mask` (D, K + 1), the `right`
-    action (D,), NOT_OFFERED where it is not on offer or nobody knows, the one `taken` (D,), and `episode` and `look`.
-
-    The right actions are taken, but for a fraction of `mistakes` at random: otherwise no state would be met in which
-    something has gone wrong before. Raises ValueError where there is nothing to decide.
-    """
-    env: Any = arguments.make().unwrapped
-    found: list[dict[str, Any]] = []
-    for episode in worlds:
-        rng, over = np.random.default_rng((episode, 3)), False
-        observation, info = env.reset(**reset_arguments(episode))
-        while not over:
-            mask, right = info["action_mask"], info["truth"]["action"]
-            taken = env.K if right == NOT_OFFERED else right
-            if rng.random() < mistakes:
-                taken = int(rng.choice(np.flatnonzero(mask)))
-            if mask.sum() > 1:  # an episode without any choice has nothing to tell
-                known = {"mask": mask, "right": right, "taken": taken, "episode": episode, "look": info["look"]}
-                found.append(observation | known)
-            observation, _, over, _, info = env.step(taken)
-    if not found:
-        raise ValueError(f"there was nothing to decide in the episodes of {arguments.scenario!r}")
-    return {name: np.array([row[name] for row in found]) for name in found[0]}

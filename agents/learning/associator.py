@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.learning.association_scans import DRIVES, HIDDEN, LEVELS, LOGS, Decisions, Source
-from agents.learning.fitting import fit
+from agents.learning.cloning import fit
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, VERSION, Network, load_network
 from slam_gym.types import UNPAIRED

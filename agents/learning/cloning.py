@@ -1,21 +1,58 @@
-"""Behaviour cloning: a policy of the interpretation tree learns to decide as an associator does, before PPO goes on."""
+"""Supervised learning: the loop that fits a network to examples, by which the learned driver and the learned associator
+are trained, and behaviour cloning by it: a policy of the interpretation tree learns to decide as an associator does,
+before PPO goes on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from agents.learning.fitting import fit
 from agents.record_decisions import Decided, decisions
+
+T = TypeVar("T")
+
+_DECAY, _LARGEST = 1e-2, 1.0  # of the weights, in each step; norm of the gradient
 
 EPISODES = 4  # recorded in each scenario
 FIRST_WORLD = 20_000  # of the train split
 _STEPS, _BATCH, _RATE = 800, 1_024, 2e-3
+
+
+def fit(
+    parameters: Sequence[Tensor],
+    batches: Sequence[T],
+    loss: Callable[[T], Tensor],
+    judge: Callable[[], float],
+    epochs: int,
+    rate: float,
+    rng: np.random.Generator,
+) -> list[float]:
+    """Lower the loss of the batches by AdamW; what `judge` says of the parameters after each epoch.
+
+    The learning rate rises to `rate`, and falls to nothing (Smith and Topin's one cycle, 2019).
+    """
+    torch.set_num_threads(1)  # sums in one order, or the weights would depend on the number of cores
+    optimizer = torch.optim.AdamW(parameters, lr=rate, weight_decay=_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=epochs * len(batches))
+    curve = []
+    for _ in range(epochs):
+        for k in rng.permutation(len(batches)).tolist():
+            optimizer.zero_grad()
+            loss(batches[k]).backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(parameters, _LARGEST)
+            optimizer.step()
+            schedule.step()
+        with torch.no_grad():
+            curve.append(judge())
+    return curve
+
+
+# -- behaviour cloning -------------------------------------------------------------------------------------------------
 
 Batch = tuple[dict[str, Tensor], Tensor, Tensor]
 """Observations, masks and actions of b decisions."""

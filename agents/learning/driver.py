@@ -34,7 +34,7 @@ from agents.drivers.learned import (
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
 from agents.evaluation.pipeline import run_all
-from agents.learning.fitting import fit
+from agents.learning.cloning import fit
 from agents.learning.sketch import Sketch, missed_by
 from slam_gym.types import Array, BoolArray
 from slam_gym.weights import Card, Weights, figure

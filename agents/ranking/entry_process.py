@@ -2,6 +2,10 @@
 
 The evaluator imports no code of an entry and unpickles none of its data: answers are JSON, with a limit on length and
 time. An entry that fails loses the episode. There is no defence against reading the memory of another process.
+
+The process runs this module by `main`, and contains no simulator. A request arrives on stdin: its length in eight
+bytes, and a pickle that the evaluator wrote. An answer goes to stdout as one line of JSON; everything that the entry
+prints goes to stderr.
 """
 
 from __future__ import annotations
@@ -12,13 +16,17 @@ import json
 import os
 import pickle
 import sys
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import ActionKind, Info, Observation, find_agent, legal_goals, make_agent
+from agents.evaluation.associators import find_associator
+from slam_gym.association import resolve_relocator
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_hypothesis
@@ -69,7 +77,7 @@ class EntryProcess:
         path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
         pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
         child = asyncio.create_subprocess_exec(
-            sys.executable, "-m", "agents.ranking.child", *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
+            sys.executable, "-m", __name__, *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
         )
         self._process, self._next_limit = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
@@ -169,3 +177,51 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     if not np.isfinite(array).all():
         raise ValueError("a number is not finite")
     return array
+
+
+# -- in the process of the entry ------------------------------------------------------------------------------------
+
+
+def _load(role: str, name: str) -> tuple[dict[str, Any], Callable[..., Any]]:
+    """An entry by name, `module:function`, `module:Class` or model file: the first message to the evaluator, about the
+    entry, and the function that answers requests. Raises ValueError where there is none."""
+    if role != "agent":
+        return {}, (find_associator if role == "associator" else resolve_relocator)(name)
+    model = Path(name).suffix == ".zip"
+    if not model and not hasattr(find_agent(name), "act"):
+        raise ValueError("it cannot act: give --role where it is no agent")
+    agent = make_agent("ppo", name) if model else make_agent(name)
+
+    def drive(method: str, *request: Any) -> Any:
+        return agent.reset(*request) if method == "reset" else agent.act(*request)
+
+    return {"name": agent.name, "action": agent.action}, drive
+
+
+def _plain(value: Any) -> Any:
+    """A value that JSON does not know in types that it knows: arrays as lists, dataclasses as objects."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def main(role: str, name: str) -> None:
+    """Answer requests until there are no more. An error of the entry is the last answer."""
+    incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    try:
+        answer, entry = _load(role, name)
+        while True:
+            print(json.dumps({"answer": answer}, default=_plain), file=outgoing, flush=True)
+            length = incoming.read(8)
+            if len(length) < 8:
+                return
+            answer = entry(*pickle.loads(incoming.read(int.from_bytes(length, "little"))))
+    except Exception as error:
+        print(json.dumps({"error": f"{type(error).__name__}: {error}"}), file=outgoing, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

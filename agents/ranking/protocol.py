@@ -18,7 +18,7 @@ from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
 from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
-from agents.suite.worlds import associate, relocate
+from agents.suite import evaluate
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.simulation.judged import CEILING
 
@@ -84,7 +84,7 @@ def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
         if "/" not in setting:
             agent, env = _loop(entry, role, setting)
             return [{"loss": float(run_episode(env, agent, episode)["map_error"])}]
-        evaluate, searchers = relocate if role == "relocator" else associate, {entry: _searcher(entry, role)}
+        searchers = {entry: _searcher(entry, role)}
         return [{"loss": 1.0 - evaluate(setting, episode, searchers, PROBLEMS, SPLIT)[entry]["score"]}]
     except EntryError as error:
         return [{"loss": LOST, "failed": str(error)}]

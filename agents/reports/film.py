@@ -36,37 +36,24 @@ def film_path(out: Path, agent: str) -> Path:
 
 
 def films_of(
-    drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path
+    drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, associators: Sequence[str] = ()
 ) -> list[Callable[[], Path]]:
-    """Calls that film an episode, one per agent, with its first model. Films that exist already are left out."""
-    first = {driver.agent: driver for driver in reversed(drivers)}
-    paths = {agent: film_path(out, agent) for agent in first}
-    missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
-    return [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
+    """Calls that film an episode: one per agent, with its first model; with `associators`, which one agent drives with,
+    a single one for all of them side by side. Films that exist already are left out."""
+    films = {film_path(out, BESIDE if associators else driver.agent): driver for driver in reversed(drivers)}
+    missing = [(path, driver) for path, driver in films.items() if not path.with_suffix(".png").exists()]
+    return [partial(film, arguments, driver, episode, path, associators) for path, driver in missing]
 
 
-def beside(
-    arguments: ExploreArguments, driver: str, associators: Sequence[str], episode: int, out: Path
-) -> list[Callable[[], Path]]:
-    """The call that films an episode with all associators side by side; none if the film exists already."""
-    path = film_path(out, BESIDE)
-    call = partial(film_beside, arguments, Driver(driver), associators, episode, path)
-    return [] if path.with_suffix(".png").exists() else [call]
-
-
-def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) -> Path:
+def film(
+    arguments: ExploreArguments, driver: Driver, episode: int, path: Path, associators: Sequence[str] = ()
+) -> Path:
     """Film one episode to `path` (.mp4), and write its last picture beside it as .png, whose path is returned.
 
-    The film has at most about `FRAMES` frames, and a pause at the first wrong pairing.
+    With `associators`, films the same episode with each of them, side by side. The film has at most about `FRAMES`
+    frames, and a pause at the first wrong pairing.
     """
-    return _cut([_shots(arguments, driver, episode, None)], path)
-
-
-def film_beside(
-    arguments: ExploreArguments, driver: Driver, associators: Sequence[str], episode: int, path: Path
-) -> Path:
-    """As `film`, for the same episode with each of the associators, side by side."""
-    reels = [_shots(arguments, driver, episode, metered(name)[1]) for name in associators]
+    reels = [_shots(arguments, driver, episode, name and metered(name)[1]) for name in associators or [None]]
     return _cut(reels, path, [display_name(name) for name in associators])
 
 

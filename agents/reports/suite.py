@@ -14,7 +14,7 @@ from agents.evaluation.pipeline import Results
 from agents.evaluation.tables import Column, Rows, Table, columns, estimate
 from agents.reports import figures
 from agents.reports.page import Page, Part, Picture
-from agents.suite.problems import OUTCOMES
+from agents.suite import OUTCOMES
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
-from agents.game import WISHES, Controls, Game, Screen, play
-from agents.play import app
+from agents.play import WISHES, Controls, Game, Screen, app, play
 from slam_gym.types import UNPAIRED
 from tests.agents import typed
 from tests.rollouts import relocate

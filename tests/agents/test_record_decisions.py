@@ -31,6 +31,13 @@ def test_another_associator_decides_otherwise():
     assert (good.actions == good.right)[good.right >= 0].all() and (bad.actions != bad.right).any()
 
 
+def test_some_decisions_are_mistakes_where_they_are_asked_for():
+    (own,) = decisions(SHORT.make(), "true_association", range(1), mistakes=0.3)
+    known = own.right >= 0
+    assert own.masks[np.arange(len(own.actions)), own.actions].all()
+    assert own.masks[known, own.right[known]].all() and 0.5 < (own.actions == own.right)[known].mean() < 1.0
+
+
 def test_they_become_a_data_set(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

@@ -9,8 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.mapped_log import compare, map_log, measure, start_of, write_mapped_log
-from agents.evaluation.recordings import logs_of, map_and_measure, surveyed
+from agents.evaluation.mapped_log import (
+    compare,
+    logs_of,
+    map_and_measure,
+    map_log,
+    measure,
+    start_of,
+    surveyed,
+    write_mapped_log,
+)
 from agents.options import Recorded
 from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
 from slam_gym.geometry import compose, compose_jacobians

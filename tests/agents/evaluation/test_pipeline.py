@@ -13,7 +13,7 @@ from agents.evaluation.drives import Driver, associator_evaluation, driver_evalu
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results, run_all
 from agents.options import Execution, Suite
-from agents.suite.worlds import suite_evaluation
+from agents.suite import suite_evaluation
 from tests.agents.evaluation import timeless
 
 NEW, RESUMED = (Execution(jobs=1, resume=resume) for resume in (False, True))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.evaluation.episodes import AssociateArguments
-from agents.learning.association_scans import HIDDEN, Source, decisions_of, labelled_decisions, without
+from agents.learning.association_scans import HIDDEN, Source, decisions_of, without
 from agents.learning.associator import (
     SHARES,
     AssociatorPlan,
@@ -110,19 +109,6 @@ def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
     same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
     assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
     assert kinds[0].inputs[:, same].any() and not kinds[0].inputs[:, known].any()
-
-
-def test_labelled_decisions_are_those_of_the_environment():
-    arguments = AssociateArguments("corridor", candidates=4)
-    found = labelled_decisions(arguments, range(2))
-    count = len(found["right"])
-    assert found["mask"].shape == (count, 5) and set(found["episode"]) == {0, 1}
-    assert found["mask"][np.arange(count), found["taken"]].all()
-    known = found["right"] >= 0
-    assert known.any() and found["mask"][known, found["right"][known]].all()
-    assert (found["taken"][known] != found["right"][known]).any()
-    always = labelled_decisions(arguments, [5], mistakes=0.0)
-    assert (always["taken"] == np.where(always["right"] < 0, 4, always["right"])).all()
 
 
 # -- what is learned ---------------------------------------------------------------------------------------------------

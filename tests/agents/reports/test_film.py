@@ -43,7 +43,8 @@ def test_films_that_are_there_stay(tmp_path):
 def test_associators_are_filmed_side_by_side_and_stop_at_the_first_wrong_pairing(tmp_path):
     imageio = pytest.importorskip("imageio.v2")
     drifting = ExploreArguments("drift-3", (("budget", 90),))
-    (film,) = filming.beside(drifting, "nearest_frontier", ["nearest_neighbour", "true_association"], 0, tmp_path)
+    driver, names = [Driver("nearest_frontier")], ["nearest_neighbour", "true_association"]
+    (film,) = filming.films_of(driver, drifting, 0, tmp_path, names)
     picture = imageio.imread(film())
     frames = imageio.get_reader(filming.film_path(tmp_path, filming.BESIDE))
     height, width, _ = picture.shape
@@ -52,4 +53,4 @@ def test_associators_are_filmed_side_by_side_and_stop_at_the_first_wrong_pairing
     assert frames.count_frames() >= 30 + pauses
     left, right = picture[32:, :960].astype(int), picture[32:, 960:].astype(int)
     assert np.abs(left - right).mean() > 0.1
-    assert filming.beside(drifting, "nearest_frontier", ["jcbb", "marginal"], 0, tmp_path) == []
+    assert filming.films_of(driver, drifting, 0, tmp_path, ["jcbb", "marginal"]) == []

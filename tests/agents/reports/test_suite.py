@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from agents.reports.suite import by_role, by_world, leads, relocations, scores
-from agents.suite.problems import OUTCOMES
-from agents.suite.worlds import promised
+from agents.suite import OUTCOMES, promised
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
 

@@ -1,35 +1,37 @@
-"""The problems of the suite are what their level says, the same every time, and judged as by hand."""
+"""The problems of the suite are what their level says, the same every time, and judged as by hand; the truth is the
+ceiling, refusing earns nothing, and nobody depends on who else is asked."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
-from agents.suite.problems import (
+from agents.suite import (
     MAX_DISTANCE,
     MAX_TURN,
     MIN_MAPPED,
     Judgement,
     Problem,
-    TwoLaps,
     ask,
+    association_record,
+    evaluate_all,
     judge,
     judge_relocation,
     problems,
     relocation_problems,
 )
-from agents.suite.worlds import association_record
 from slam_gym.association import ASSOCIATORS
 from slam_gym.geometry import transform
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.judged import CEILING
-from slam_gym.types import UNPAIRED, Effort, Relocation
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation
 
 ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
 
 
 def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> list[Problem]:
-    return list(problems(TwoLaps(level, world, split), count))
+    return list(problems(level, world, count, split))
 
 
 def test_problems_are_the_same_every_time_and_others_in_other_worlds():
@@ -66,12 +68,16 @@ def test_what_the_pose_is_off_by_is_what_its_covariance_says():
     assert 0.85 < total / dof < 1.2
 
 
+def deciding(*features) -> Hypothesis:
+    return Hypothesis(np.array(features), 0.0, 0, Effort())
+
+
 def test_an_answer_is_judged_by_hand():
     right = np.array([3, 5, UNPAIRED, 7, UNPAIRED])
 
     def earned(*features) -> tuple[Judgement, float, float]:
         found = judge(np.array(features), right)
-        record = association_record([found])
+        record = association_record([deciding(*features)], [right])
         return found, record["score"], record["exact"]
 
     assert earned(*right) == (Judgement(3, 0, 0, 3), 1.0, 1.0)
@@ -79,9 +85,9 @@ def test_an_answer_is_judged_by_hand():
     assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == (Judgement(2, 0, 1, 3), pytest.approx(2 / 3), 0.0)
     assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == (Judgement(1, 2, 0, 3), 0.0, 0.0)
     assert earned(3, 5, 9, 7, UNPAIRED) == (Judgement(3, 1, 0, 3), 0.0, 0.0)
-    both = association_record([judge(right, right), judge(np.array([5, 3, UNPAIRED, 7, UNPAIRED]), right)])
+    both = association_record([deciding(*right), deciding(5, 3, UNPAIRED, 7, UNPAIRED)], [right, right])
     assert (both["score"], both["spoiled"], both["precision"]) == (0.0, 0.5, 4 / 6)  # a spoiled scan earns −1
-    assert math.isnan(association_record([])["score"])
+    assert math.isnan(association_record([], [])["score"])
     with pytest.raises(ValueError, match="4 decisions for 5 measurements"):
         judge(np.full(4, UNPAIRED), right)
 
@@ -108,8 +114,73 @@ def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
         return float(np.mean(np.array(gaps) < 0.3))
 
     cases = list(relocation_problems(get_level("kidnapped/0"), 0, 8, "train"))
-    inside, outside = [c for c in cases if c.pose is not None], [c for c in cases if c.pose is None]
+    inside, outside = [c for c in cases if c.right is not None], [c for c in cases if c.right is None]
     assert len(inside) == len(outside) == 4 and all(len(case.scan) >= MIN_MAPPED for case in cases)
-    assert all(explained(case, case.pose) > 0.8 for case in inside)
-    assert np.mean([explained(case, inside[0].pose) for case in outside]) < 0.6
+    assert all(explained(case, case.right) > 0.8 for case in inside)
+    assert np.mean([explained(case, inside[0].right) for case in outside]) < 0.6
     assert all(len(case.locality) == len(case.landmarks) for case in cases)
+
+
+# -- the records of worlds ---------------------------------------------------------------------------------------------
+
+ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
+
+
+def run(level, world, names, count):
+    """The records of some names in a world of the train split."""
+    return [{"name": name} | found for name, found in zip(names, evaluate_all(level, world, names, count, "train"))]
+
+
+@pytest.mark.parametrize("name", ASSOCIATION)
+def test_true_association_is_the_ceiling(name):
+    names = ("true_association", "jcbb", "nearest_neighbour", "singles")
+    for record in run(EXPERIMENTS[name].levels[-1].id, 0, names, 5):
+        assert record["problems"] == 5 and 0.0 <= record["score"] <= 1.0
+        if record["name"] == "true_association":
+            assert (record["score"], record["exact"], record["spoiled"], record["refused"]) == (1.0, 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["closure", "clutter", "density", "dynamics"])
+def test_nearest_neighbour_falls_from_one_end_of_the_sweep_to_the_other(name):
+    first, last = (
+        np.mean([run(level.id, k, ("nearest_neighbour",), 8)[0]["precision"] for k in range(3)])
+        for level in (EXPERIMENTS[name].levels[0], EXPERIMENTS[name].levels[-1])
+    )
+    assert first - last > 0.05
+
+
+def refuse(scan, prediction):
+    return Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort(nodes=len(scan)))
+
+
+def test_refusing_everything_earns_nothing():
+    record = run("density/1", 0, (f"{__name__}:refuse",), 4)[0]
+    assert record["score"] == 0.0 and record["refused"] == 1.0 and record["spoiled"] == 0.0
+    assert math.isnan(record["precision"]) and record["recall"] == 0.0
+
+
+def test_answers_do_not_depend_on_who_else_is_asked():
+    names = ("nearest_neighbour", "jcbb", "true_association")
+    together = run("dynamics/3", 1, names, 4)
+    for name, record in zip(names[1:], together[1:]):
+        alone = run("dynamics/3", 1, (name,), 4)[0]
+        drop = {"microseconds": 0.0}
+        assert json.dumps(alone | drop) == json.dumps(record | drop)
+
+
+NOWHERE = (np.empty(0, np.int64), np.zeros(3), np.eye(3), 0.0, 0)
+
+
+def silent(scan, landmarks, locality):
+    return Relocation(*NOWHERE, 4, False, 0, Effort())
+
+
+def eager(scan, landmarks, locality):
+    return Relocation(np.arange(99), *NOWHERE[1:], 4, False, 0, Effort())
+
+
+def test_neither_silence_nor_eagerness_pays():
+    names = (f"{__name__}:silent", f"{__name__}:eager")
+    quiet, loud = run("kidnapped/0", 0, names, 8)
+    assert (quiet["score"], quiet["silent"], quiet["refused"]) == (0.0, 4, 4)
+    assert (loud["score"], loud["correct"], loud["invented"]) == (0.0, 0, 4)

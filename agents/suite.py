@@ -1,37 +1,58 @@
-"""The problems of a level: SLAM maps with scans, the same for every associator or relocator.
+"""The association suite: single scans against SLAM maps, the same for every associator or relocator, and their scores.
 
 A robot goes round a floor twice, place by place, and maps it with true associations. Some stops of the second lap
 become problems: the map before the stop, with a robot that has driven on without scans, so that its pose is as
 uncertain as the level prescribes, and the scan from the true place. Answers do not change the map, so that all
-associators get the same problems.
+associators get the same problems. A task evaluates all associators or relocators in one world of one level.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from slam_gym.association import true_association
-from slam_gym.association.prediction import Associator, Prediction, predict
+from agents.evaluation.associators import Metered, find_associator
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record
+from agents.options import Suite
+from slam_gym.association import resolve_relocator, true_association
+from slam_gym.association.prediction import Prediction, predict
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.mapping.locality import covisible
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.scenarios import SPLITS, world_generator, world_seed
-from slam_gym.scenarios.suite import Level
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam, RightAnswers
 from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
+from slam_gym.types import (
+    UNPAIRED,
+    Array,
+    Hypothesis,
+    IntArray,
+    Landmarks,
+    Locality,
+    Odometry,
+    Relocation,
+    Scan,
+    Truth,
+)
+from slam_gym.validation import one_of
 from slam_gym.world.physics import Motion
 from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
+WORLDS, PROBLEMS = 24, 12  # worlds of a level; largest number of problems of a world
+QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
 MIN_MAPPED = 4  # least number of measurements of mapped features in a problem
 WRONG_COST = 10.0  # of a wrong pairing, relative to a right one, as in the reward of Associate-v0
 
@@ -48,6 +69,11 @@ class Problem:
     scan: Scan
     prediction: Prediction
     truth: RightAnswers
+
+    @property
+    def right(self) -> IntArray:
+        """(m,) the right feature of each measurement."""
+        return self.truth.right
 
 
 @dataclass(frozen=True)
@@ -125,9 +151,9 @@ class TwoLaps:
         return self.sensor.scan(pose, self.rng, people)
 
 
-def problems(laps: TwoLaps, count: int) -> Iterator[Problem]:
+def problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[Problem]:
     """Up to `count` problems of a world."""
-    sensor, (position, heading) = laps.level.scenario.sensor, laps.level.blind
+    laps, sensor, (position, heading) = TwoLaps(level, world, split), level.scenario.sensor, level.blind
     blind = np.array([position, position, heading])
     for stop in laps.sampled(count):
         noise, u = blind * laps.rng.standard_normal(3), stop.odometry
@@ -139,12 +165,14 @@ def problems(laps: TwoLaps, count: int) -> Iterator[Problem]:
         yield Problem(stop.scan, prediction, stop.truth)
 
 
-def ask(name: str, associate: Associator, problem: Problem) -> Hypothesis:
-    """The hypothesis of an associator; `true_association` receives the truth."""
+def ask(name: str, function: Callable[..., Any], problem: Problem | RelocationProblem) -> Any:
+    """The answer of an associator, of which `true_association` receives the truth, or of a relocator."""
+    if isinstance(problem, RelocationProblem):
+        return function(problem.scan, problem.landmarks, problem.locality)
     if name == CEILING:
         truth = problem.truth
         return true_association(problem.scan, problem.prediction, sources=truth.sources, identities=truth.identities)
-    return associate(problem.scan, problem.prediction)
+    return function(problem.scan, problem.prediction)
 
 
 class Judgement(NamedTuple):
@@ -180,7 +208,7 @@ class RelocationProblem:
     scan: Scan
     landmarks: Landmarks
     locality: Locality
-    pose: Array | None  # (3,) of the robot in B by true associations; None: in another building
+    right: Array | None  # (3,) pose of the robot in B by true associations; None: in another building
 
 
 def relocation_problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[RelocationProblem]:
@@ -209,3 +237,98 @@ def judge_relocation(found: Relocation, truth: Array | None) -> str:
         return "silent"
     off = math.hypot(found.pose[0] - truth[0], found.pose[1] - truth[1])
     return "correct" if off <= MAX_DISTANCE and abs(wrap_angle(found.pose[2] - truth[2])) <= MAX_TURN else "wrong"
+
+
+# -- the evaluation ---------------------------------------------------------------------------------------------------
+
+
+def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Sequence[str], split: str) -> Evaluation:
+    """The evaluation of all associators and relocators on every level. Raises ValueError for unknown names."""
+    worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
+    count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
+    for name in associators:
+        find_associator(name)
+    for name in relocators:
+        resolve_relocator(name)
+    tasks = []
+    for name in dict.fromkeys(options.experiments or EXPERIMENTS):
+        one_of("experiment", name, EXPERIMENTS)
+        for level in EXPERIMENTS[name].levels[:: 2 if options.quick else 1]:
+            for world in range(worlds):
+                names = relocators if name == RELOCATION else associators
+                keys = [Key(each, level.id, world) for each in names]
+                tasks.append(Task(keys, partial(evaluate_all, level.id, world, names, count, split)))
+    size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
+    return Evaluation("suite", tasks, size)
+
+
+def evaluate_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:
+    """The record of each associator, or relocator, for up to `count` problems in one world of one level."""
+    level = get_level(setting)
+    find: Callable[[str], Any] = resolve_relocator if level.experiment == RELOCATION else find_associator
+    records = evaluate(setting, world, {name: find(name) for name in names}, count, split)
+    return [{"experiment": level.experiment, "knob": level.knob} | records[name] for name in names]
+
+
+def evaluate(
+    setting: str, world: int, functions: Mapping[str, Any], count: int, split: str = "test"
+) -> dict[str, Record]:
+    """The records of associators, by name, for up to `count` problems of a world; of relocators where the level is one
+    of kidnapped robots."""
+    level = get_level(setting)
+    kidnapped = level.experiment == RELOCATION
+    meters = {name: Metered(partial(ask, name, function)) for name, function in functions.items()}
+    answers: dict[str, list[Any]] = {name: [] for name in functions}
+    truths: list[Any] = []
+    for problem in (relocation_problems if kidnapped else problems)(level, world, count, split):
+        truths.append(problem.right)
+        for name, meter in meters.items():
+            answers[name].append(meter(problem))
+    record = relocation_record if kidnapped else association_record
+    return {name: record(own, truths) | meters[name].effort() for name, own in answers.items()}
+
+
+def association_record(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
+    """Fractions over the problems of a world; NaN where it had none.
+
+    The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` scans, all
+    measurements of mapped features are paired rightly and no others are paired.
+    """
+    judged = [judge(hypothesis.features, features) for hypothesis, features in zip(answers, right)]
+    scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
+    agreed, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
+    return {
+        "problems": len(scans),
+        "score": float(max(pd.Series([j.score for j in judged], dtype=float).mean(), 0.0)),  # NaN stays
+        "spoiled": float((wrong > 0.0).mean()),
+        "refused": float((refused / mapped).mean()),
+        "exact": float((wrong + refused == 0.0).mean()),
+        "precision": _ratio(agreed.sum(), agreed.sum() + wrong.sum()),
+        "recall": _ratio(agreed.sum(), mapped.sum()),
+    } | promised(answers, right)
+
+
+def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
+    """The mean probability of the best hypothesis of a scan, and the rate at which it is right, `*` included; NaN
+    without probabilities. The two agree where the posterior is calibrated."""
+    p, hit = [], []
+    for hypothesis, of_truth in zip(answers, right):
+        if (posterior := hypothesis.posterior) is not None:
+            decided = posterior.probability >= posterior.runner_up_probability
+            best = hypothesis.features if decided else posterior.runner_up
+            p.append(max(posterior.probability, posterior.runner_up_probability))
+            hit.append(bool((best == of_truth).all()))
+    return {"promised": float(np.mean(p or math.nan)), "kept": float(np.mean(hit or math.nan))}
+
+
+def _ratio(part: float, whole: float) -> float:
+    return float(part / whole) if whole else math.nan
+
+
+def relocation_record(answers: Sequence[Relocation], right: Sequence[Array | None]) -> Record:
+    """Outcomes and their score: (fraction correct − wrong inside, not below 0) · (fraction refused outside)."""
+    counts = Counter(map(judge_relocation, answers, right))
+    inside = counts["correct"] + counts["silent"] + counts["wrong"]
+    outside = counts["refused"] + counts["invented"]
+    score = _ratio(max(0, counts["correct"] - counts["wrong"]), inside) * _ratio(counts["refused"], outside)
+    return {"problems": inside + outside, "score": score, **{name: counts[name] for name in OUTCOMES}}
