@@ -33,18 +33,7 @@ from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam, RightAnswers
 from slam_gym.slam.slam import Slam
-from slam_gym.types import (
-    UNPAIRED,
-    Array,
-    Hypothesis,
-    IntArray,
-    Landmarks,
-    Locality,
-    Odometry,
-    Relocation,
-    Scan,
-    Truth,
-)
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
 from slam_gym.validation import one_of
 from slam_gym.world.physics import Motion
 from slam_gym.world.ray_casting import NO_DISCS

@@ -1,7 +1,8 @@
-"""What associators learn from: the hypotheses that the search keeps of a scan and what in them is right, from train
-worlds of the suite and of the scenarios, and from the training parts of recordings.
+"""The examples from which the learned associator is trained: the hypotheses that the search keeps of a scan, and which
+of their pairings are right. Scans come from train worlds of the suite and of the scenarios, and from the training parts
+of recordings.
 
-The maps of drives and logs are made by associators, so that their mistakes are in them.
+The maps of drives and logs are made by associators, so that they contain the mistakes of associators.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from slam_gym.simulation.judged import RightAnswers
 from slam_gym.simulation.recorded_logs import reference_poses
 from slam_gym.types import UNLABELLED, UNPAIRED, BoolArray, IntArray, Scan, Truth
 
-WIDTH, MARGIN = 150, 16.0  # of the search: wider than that which decides, for it is still to learn
+WIDTH, MARGIN = 150, 16.0  # of the search; wider than in use, since the network is not trained yet
 _MOST = 80  # hypotheses of a scan that are kept
-_EASY = 0.15  # fraction of the scans kept in which the model has no doubt; each counts for more by as much
-_DOUBT = 0.02
+_EASY = 0.15  # fraction of the unambiguous scans that are kept; the weight of each is divided by it
+_DOUBT = 0.02  # a scan is ambiguous where the best hypothesis has a smaller probability than 1 − this
 _MOST_TICKS = 500
 SIGHTINGS = 3  # row of the first of a prediction's arrays
 
@@ -41,28 +42,28 @@ DRIVES = (
     "office", "aliased", "hall", "crowd", "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift",
     "sparse", "loop",
 )  # fmt: skip
-LOGS = ("victoria_park/5", "victoria_park/10", "mrclam/1", "mrclam/2")  # every so many scans; robot
+LOGS = ("victoria_park/5", "victoria_park/10", "mrclam/1", "mrclam/2")  # every 5th or 10th scan; number of the robot
 
 HIDDEN = ((), ("sizes", "not kinds"), ("sizes",), ("sizes", "views", "past"))
-"""What is hidden in some worlds, so that the network knows how much a pairing is worth of which less is known."""
+"""What is hidden in some worlds, so that the network learns what a pairing is worth when less is known about it."""
 
 
 class Decisions(NamedTuple):
-    """One scan: c pairings, b hypotheses, m measurements."""
+    """The example made of one scan: c pairings, b hypotheses, m measurements."""
 
     inputs: NDArray[np.float32]  # (c, inputs)
     measured: IntArray  # (c,)
-    slots: IntArray  # (c,) feature, one number for each in each narrow heading
+    slots: IntArray  # (c,) the feature, numbered apart in each narrow heading
     right: BoolArray  # (c,) the pairing is right
-    hypotheses: IntArray  # (b, m) pairing of each measurement, or UNPAIRED
-    scores: NDArray[np.float32]  # (b,) log densities of the model alone
-    unpaired: BoolArray  # (m,) that is right
-    known: BoolArray  # (m,) somebody knows what is right, and it is on offer
-    weight: float = 1.0  # what the scan counts
+    hypotheses: IntArray  # (b, m) the pairing of each measurement, or UNPAIRED
+    scores: NDArray[np.float32]  # (b,) log densities by the model, without the network
+    unpaired: BoolArray  # (m,) leaving the measurement unpaired is right
+    known: BoolArray  # (m,) the right decision is known, and among those of the hypotheses
+    weight: float = 1.0  # of the scan in the loss
 
 
 def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Decisions | None:
-    """The decisions of a scan, or None where nothing is to be decided, or nobody knows what is right."""
+    """The example made of a scan, or None where it has no pairing, or no measurement whose right decision is known."""
     parts = examples(scan, prediction, width=WIDTH, margin=MARGIN)
     counts = [len(part.inputs) for part in parts]
     measured, rows = (np.concatenate([getattr(part, name) for part in parts]) for name in ("measured", "rows"))
@@ -95,8 +96,8 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
 def _labels(
     truth: RightAnswers, prediction: Prediction, measured: IntArray, rows: IntArray
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Which pairings (c,) are right, duplicates included; which measurements (m,) are of nothing in the map; and of
-    which of them that is known, and on offer."""
+    """Whether pairings (c,) are right, with duplicate features as well; whether measurements (m,) belong to no feature
+    of the map; and for which (m,) the right decision is known and can be chosen."""
     sources = truth.sources
     right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
     unpaired = (sources != UNLABELLED) & (truth.right == UNPAIRED)
@@ -106,8 +107,8 @@ def _labels(
 
 
 def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
-    """The two as somebody has them who is not told `sizes`, what should be in view (`views`), or what was seen before
-    and how often (`past`)."""
+    """Scan and prediction without what is `hidden`: `sizes`, what should be in view (`views`), or how often features
+    were seen before (`past`)."""
     if "views" in hidden:
         prediction = prediction.with_visibility(None)
     counted, sized, *others = prediction.rows
@@ -125,21 +126,21 @@ def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tupl
 
 @dataclass(frozen=True)
 class Source:
-    """One run that is looked at: of a level of the suite, a scenario, or a log."""
+    """A run whose scans become examples: of a level of the suite, of a scenario, or of a log."""
 
     kind: str  # level, drive or log
     name: str
     world: int
-    associator: str = "marginal"  # who maps, in a drive or a log
+    associator: str = "marginal"  # that makes the map of a drive or a log
     hidden: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
-        """What a card calls it."""
+        """Its name on the card of the weights."""
         return f"recording:{self.name}" if self.kind == "log" else self.name
 
     def scans(self, count: int = 12) -> Iterator[Decisions]:
-        """The decisions of its scans; of a level, of `count` of them."""
+        """The examples of its scans; of a level, up to `count`."""
         rng = np.random.default_rng((world_seed("train", self.world), 7))
         if self.kind == "level":
             yield from self._problems(count)
@@ -160,7 +161,7 @@ class Source:
                 yield found
 
     def _watched(self, run: AssociationRun, rng: np.random.Generator) -> Iterator[Decisions]:
-        """The scans of a run in which there is something to decide; of those without a doubt only some."""
+        """The examples of a drive or a log: all ambiguous scans, and a fraction `_EASY` of the others."""
         associate, seen = resolve_associator(self.associator), SeenAs()
         for _ in range(min(run.length, _MOST_TICKS)):
             if run.over:
@@ -181,7 +182,7 @@ class Source:
 
 
 def _log(name: str) -> ScanLog:
-    """The training part of a log: the first half of the park, all of a robot of MR.CLAM."""
+    """The training part of a log: the first half of Victoria Park, or the whole log of a robot of MR.CLAM."""
     published, _, number = name.partition("/")
     if published == "victoria_park":
         whole = open_recordings(published)[0]
@@ -197,27 +198,29 @@ def _log(name: str) -> ScanLog:
 
 
 class SeenAs:
-    """What each feature of a map has mostly been seen as: one that was started by one thing, and is updated by another
-    from then on, is the other, though it keeps the name of the first."""
+    """The true feature with which each feature of a map has been paired most often.
+
+    After wrong pairings this may differ from the true feature that started it, which is the identity elsewhere.
+    """
 
     def __init__(self) -> None:
         self._votes: dict[int, Counter[int]] = {}
 
     def source_of(self, ids: IntArray, started: IntArray) -> IntArray:
-        """(n,) of features `ids` (n,) that the true features `started` (n,) have started."""
+        """(n,) the true features of `ids` (n,), which the true features `started` (n,) have started."""
         for feature, source in zip(ids.tolist(), started.tolist()):
             self._votes.setdefault(feature, Counter({source: 1}))
         return np.array([self._votes[feature].most_common(1)[0][0] for feature in ids.tolist()], np.int64)
 
     def add(self, ids: IntArray, features: IntArray, sources: IntArray) -> None:
-        """A scan whose measurements of `sources` (m,) are paired with `features` (m,)."""
+        """Count a scan whose measurements of the true features `sources` (m,) are paired with `features` (m,)."""
         for feature, source in zip(features.tolist(), sources.tolist()):
             if feature != UNPAIRED and source != UNLABELLED and int(ids[feature]) in self._votes:
                 self._votes[int(ids[feature])][source] += 1
 
 
 def _doubtful(d: Decisions) -> bool:
-    """Whether the model has a doubt, or is wrong."""
+    """Whether the scan is ambiguous for the model, or the best hypothesis of the model is wrong."""
     weights = np.exp(d.scores - d.scores.max())
     best = d.hypotheses[np.argmax(weights)]
     right = np.where(best < 0, d.unpaired, np.append(d.right, False)[best])

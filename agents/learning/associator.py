@@ -1,8 +1,8 @@
 """The training of the learned associator, from worlds to weights.
 
-The hypotheses of a scan have log densities by the model; the network adds to each the odds of its pairings. What a
-measurement is decided is as probable as the hypotheses that decide it so, together: that of the right decision is what
-is maximised. So what is learned is what the marginals lack, and they come out calibrated.
+The hypotheses of a scan have log densities by the model; the network adds to each the log odds of its pairings. The
+probability of a decision on a measurement is the sum over the hypotheses that contain it. Training maximises the
+probability of the right decisions. So the network learns what the model lacks, and the marginals become calibrated.
 """
 
 from __future__ import annotations
@@ -27,38 +27,38 @@ from slam_gym.types import UNPAIRED
 from slam_gym.weights import Card, Weights, figure
 
 SHARES = {"level": 0.5, "drive": 0.45, "log": 0.05}
-"""What each kind of source counts in all, however many scans it has."""
+"""The share of each kind of source in the loss, whatever its number of scans."""
 
-_WHOLE = 12  # worlds of each level in which nothing is hidden; then sizes and more are, in turn
-_HIDDEN_COUNT = 4.0  # what a scan counts of which something is hidden: there are few, and many a user has no more
-_ENOUGH = 16.0  # log odds
-_LEAST = 1e-4  # probability: what no hypothesis decides rightly teaches nothing
+_WHOLE = 12  # worlds of each level in which nothing is hidden; in the others, the entries of HIDDEN take turns
+_HIDDEN_COUNT = 4.0  # weight of a scan of which something is hidden: they are few, but many logs are like them
+_ENOUGH = 16.0  # limit on log odds in training
+_LEAST = 1e-4  # limit on probabilities: a measurement for which every hypothesis is wrong has no gradient
 _BATCH = 64  # scans
 
 
 def drives_and_logs() -> list[Source]:
-    """What is looked at besides the levels of the suite."""
+    """The sources besides the levels of the suite."""
     hidden = (
         (("sizes",), 6, ("office", "drift-2", "hall", "crowd-drift")),
         (("sizes", "views", "past"), 7, ("crowd", "drift-3", "aliased-drift", "loop")),
         (("views",), 8, ("office", "crowd", "drift-1", "drift-2", "aliased", "hall-drift", "sparse")),
         (("views", "sizes"), 9, ("office", "drift-1", "drift-3", "hall", "sparse", "loop")),
-    )  # what is, in which world, of which scenarios
+    )  # what is hidden, the world, the scenarios
     found = [Source("drive", name, k) for k in range(6) for name in DRIVES]
     found += [Source("drive", name, k, hidden=what) for what, k, names in hidden for name in names]
-    makers = ("map_hypothesis", "marginal")  # whose maps go wrong in other ways
+    makers = ("map_hypothesis", "marginal")  # their maps contain different mistakes
     return found + [Source("log", name, k, maker) for k, maker in enumerate(makers) for name in LOGS]
 
 
 @dataclass(frozen=True)
 class AssociatorPlan:
-    """What is looked at, in train worlds, and how the network is trained on it."""
+    """The sources of the examples, and the training of the network."""
 
     levels: Sequence[str] = LEVELS
     worlds: int = 16  # of each level
     held_out: int = 4  # worlds of each level, after those
     further: Sequence[Source] = field(default_factory=drives_and_logs)
-    seeds: Sequence[int] = (0, 1)  # the one that is best on what is held out ships
+    seeds: Sequence[int] = (0, 1)  # the network with the lowest loss on held-out worlds is kept
     hidden_numbers: int = 24
     epochs: int = 14
     rate: float = 4e-3  # at its highest
@@ -68,9 +68,9 @@ QUICK = AssociatorPlan(("clutter/2", "detection/2", "closure/3"), worlds=2, held
 
 
 def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
-    """The weights of the best seed on what is held out; the figures of the card are those of all seeds.
+    """The weights of the seed with the lowest loss on held-out worlds; the figures of the card are those of all seeds.
 
-    Raises ValueError where `SLAM_GYM_DATA` does not say where the recordings are, unless it is a quick one.
+    Raises ValueError where `SLAM_GYM_DATA` does not name the folder of the recordings, unless `quick`.
     """
     plan = QUICK if quick else AssociatorPlan()
     if plan.further and not os.environ.get("SLAM_GYM_DATA"):
@@ -95,7 +95,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 
 
 def _of_shipped(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
-    """What the weights that ship come to on the same scans; nothing where they were made for other inputs."""
+    """The loss of the shipped weights on the same scans; nothing where those were made for other inputs."""
     try:
         network = load_network(WEIGHTS, VERSION, INPUTS)
     except ValueError:
@@ -105,7 +105,7 @@ def _of_shipped(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
 
 
 def sources(plan: AssociatorPlan) -> tuple[list[Source], list[Source]]:
-    """What is trained on, and what is held out."""
+    """The sources to train on, and those held out."""
     last = plan.worlds + plan.held_out
     hidden = [() if k < _WHOLE else HIDDEN[k % len(HIDDEN)] for k in range(last)]
     found = [Source("level", name, k, hidden=hidden[k]) for k in range(last) for name in plan.levels]
@@ -114,7 +114,7 @@ def sources(plan: AssociatorPlan) -> tuple[list[Source], list[Source]]:
 
 
 def look(found: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]:
-    """The decisions of all sources, in their order, weighed by kind."""
+    """The examples of all sources, in order, with weights by kind."""
     kinds: dict[str, list[Decisions]] = {}
     for source in found:
         began, own = time.perf_counter(), list(source.scans())
@@ -125,7 +125,7 @@ def look(found: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]
 
 
 def weighed(kinds: Mapping[str, Sequence[Decisions]]) -> list[Decisions]:
-    """All scans, each kind of source with its share of the weight; the mean weight is 1."""
+    """All examples; each kind of source has its share of the weight, and the mean weight is 1."""
     count, scans = sum(map(len, kinds.values())), []
     shared = sum(SHARES[kind] for kind in kinds)
     for kind, own in kinds.items():
@@ -138,7 +138,7 @@ def weighed(kinds: Mapping[str, Sequence[Decisions]]) -> list[Decisions]:
 
 
 def untrained(scans: Sequence[Decisions], hidden: int, seed: int = 0) -> Network:
-    """A network that starts at the model: its odds are 0. Inputs are scaled by those of all pairings."""
+    """A network whose log odds are 0, as without a network. Inputs are scaled by their mean and deviation."""
     inputs = np.concatenate([d.inputs for d in scans]).astype(np.float64)
     deviation, n, rng = inputs.std(axis=0), inputs.shape[1], np.random.default_rng(seed)
     return Network(
@@ -155,12 +155,12 @@ def untrained(scans: Sequence[Decisions], hidden: int, seed: int = 0) -> Network
 
 
 def tensors(network: Network) -> Network:
-    """The same in tensors."""
+    """The network with tensors instead of arrays."""
     return Network(*(torch.tensor(array, dtype=torch.float32) for array in network))  # type: ignore[arg-type]
 
 
 def odds_of(network: Network, batch: Batch, most: float = math.inf) -> Tensor:
-    """(C,) log odds of each pairing, by a network of tensors, none beyond ±`most`."""
+    """(C,) log odds of each pairing by a network of tensors, limited to ±`most`."""
     net: NamedTuple = network
     given = (batch.inputs - net.centre) / net.scale
     x = given.clamp(-FARTHEST, FARTHEST)
@@ -174,19 +174,19 @@ def odds_of(network: Network, batch: Batch, most: float = math.inf) -> Tensor:
 
 
 class Batch(NamedTuple):
-    """B scans: their C pairings in one row, and up to H hypotheses on up to M measurements of each."""
+    """B examples: their C pairings one after the other, and for each up to H hypotheses on up to M measurements."""
 
     inputs: Tensor  # (C, inputs)
-    measured: Tensor  # (C,) measurement of each pairing, and its feature, numbered through all scans
-    slots: Tensor  # (C,)
-    hypotheses: Tensor  # (B, H, M) pairing of each measurement, C for none
-    scores: Tensor  # (B, H) log densities of the model alone, −∞ where there is no hypothesis
-    agreed: Tensor  # (B, H, M) decides the measurement rightly
-    weights: Tensor  # (B, M) what each measurement counts, 0 where nobody knows what is right
+    measured: Tensor  # (C,) measurement of each pairing, numbered through all scans
+    slots: Tensor  # (C,) feature of each pairing, likewise
+    hypotheses: Tensor  # (B, H, M) pairing of each measurement; C where it is unpaired
+    scores: Tensor  # (B, H) log densities by the model; −∞ where there is no hypothesis
+    agreed: Tensor  # (B, H, M) the decision on the measurement is right
+    weights: Tensor  # (B, M) of each measurement in the loss; 0 where the right decision is unknown
 
     @classmethod
     def of(cls, scans: Sequence[Decisions]) -> Batch:
-        """Some scans as one batch."""
+        """The batch of some examples."""
         sizes = np.array([(len(d.measured), len(d.known), d.slots.max() + 1) for d in scans])
         ends = sizes.cumsum(axis=0)
         pairings, measurements, slots = (ends - sizes).T
@@ -204,7 +204,7 @@ class Batch(NamedTuple):
 
 
 def _padded(parts: Sequence[NDArray[Any]], value: float) -> Tensor:
-    """Arrays of as many dimensions as one, `value` where there is nothing."""
+    """Arrays of the same number of dimensions as one tensor, padded with `value`."""
     out = np.full((len(parts), *np.max([part.shape for part in parts], axis=0)), value, parts[0].dtype)
     for row, part in zip(out, parts):
         row[tuple(map(slice, part.shape))] = part
@@ -212,7 +212,7 @@ def _padded(parts: Sequence[NDArray[Any]], value: float) -> Tensor:
 
 
 def _most(values: Tensor, group: Tensor) -> Tensor:
-    """The greatest of each column (c, h) among those of the same group (c,); values are not negative."""
+    """(c, h) the maxima of `values` (c, h), which are not negative, over the rows of the same group (c,)."""
     out = torch.zeros(int(group.max()) + 1, values.shape[1])
     index = group[:, None].expand_as(values)
     return out.scatter_reduce(0, index, values, "amax").gather(0, index)
@@ -224,10 +224,10 @@ def _most(values: Tensor, group: Tensor) -> Tensor:
 def trained(
     plan: AssociatorPlan, train: Sequence[Decisions], held_out: Sequence[Decisions], seed: int
 ) -> tuple[Network, list[float]]:
-    """A network of tensors, trained on some scans; its mean loss on others after each epoch.
+    """A network of tensors that is trained on some examples, and its mean loss on others after each epoch.
 
-    In training no odds count beyond `_ENOUGH`: what is decided pulls no weight any further, and what nobody has trained
-    on meets weights that are small.
+    Log odds are limited to ±`_ENOUGH`, so that pairings which are already certain do not increase the weights further.
+    Small weights are safer for inputs unlike those of the training.
     """
     network, rng = tensors(untrained(train, plan.hidden_numbers, seed)), np.random.default_rng((seed, 1))
     learned: list[Tensor] = [tensor.requires_grad_() for tensor in network[2:]]  # type: ignore[attr-defined]
@@ -241,25 +241,25 @@ def trained(
 
 
 def split(scans: Sequence[Decisions]) -> list[Sequence[Decisions]]:
-    """Scans in their order, so many at a time as are a batch."""
+    """Examples in order, in groups of the size of a batch."""
     return [scans[at : at + _BATCH] for at in range(0, len(scans), _BATCH)]
 
 
 def probabilities(odds: Tensor, batch: Batch) -> Tensor:
-    """(B, M) of the right decision on each measurement, by the odds of each pairing (C,)."""
+    """(B, M) probability of the right decision on each measurement, for log odds (C,) of the pairings."""
     each = torch.cat([odds, odds.new_zeros(1)])[batch.hypotheses]
     weights = (batch.scores + each.sum(dim=2)).softmax(dim=1)
     return torch.einsum("bh,bhm->bm", weights, batch.agreed.float())
 
 
 def loss_of(odds: Tensor, batch: Batch) -> Tensor:
-    """Weighted mean of −log p, p not below `_LEAST`."""
+    """The weighted mean of −log p of the right decisions, with p at least `_LEAST`."""
     p = probabilities(odds, batch)
     return -(batch.weights * torch.log(p.clamp(_LEAST, 1.0))).sum() / batch.weights.sum()
 
 
 def mean_loss(network: Network, scans: Sequence[Decisions]) -> float:
-    """Over scans, by a network of tensors."""
+    """The loss of a network of tensors over some examples, in batches."""
     total, found = 0.0, 0.0
     with torch.no_grad():
         for batch in map(Batch.of, split(scans)):

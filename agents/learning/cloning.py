@@ -1,6 +1,5 @@
-"""Supervised learning: the loop that fits a network to examples, by which the learned driver and the learned associator
-are trained, and behaviour cloning by it: a policy of the interpretation tree learns to decide as an associator does,
-before PPO goes on."""
+"""Supervised learning: the loop that fits a network to examples, for the learned driver and the learned associator; and
+behaviour cloning, by which a policy of the interpretation tree learns to decide as an associator does, before PPO."""
 
 from __future__ import annotations
 
@@ -32,9 +31,9 @@ def fit(
     rate: float,
     rng: np.random.Generator,
 ) -> list[float]:
-    """Lower the loss of the batches by AdamW; what `judge` says of the parameters after each epoch.
+    """Minimise the loss over the batches by AdamW; returns the result of `judge` after each epoch.
 
-    The learning rate rises to `rate`, and falls to nothing (Smith and Topin's one cycle, 2019).
+    The learning rate rises to `rate`, and falls to almost 0 (one cycle; Smith and Topin 2019).
     """
     torch.set_num_threads(1)  # sums in one order, or the weights would depend on the number of cores
     optimizer = torch.optim.AdamW(parameters, lr=rate, weight_decay=_DECAY)
@@ -59,8 +58,9 @@ Batch = tuple[dict[str, Tensor], Tensor, Tensor]
 
 
 def clone(policy: Any, envs: Iterable[gym.Env[Any, Any]], associator: str, seed: int) -> list[float]:
-    """Fit a policy of Stable-Baselines3 to what an associator decides in each environment, `true_association` what the
-    truth decides: the mean −log p of its decisions after each epoch. ValueError for an associator that nobody knows."""
+    """Fit a policy of Stable-Baselines3 to the decisions of an associator in each environment, of which
+    `true_association` decides by the truth. Returns the mean −log p of these decisions after each epoch. Raises
+    ValueError for an unknown associator."""
     worlds = range(FIRST_WORLD, FIRST_WORLD + EPISODES)
     batches = _batches([own for env in envs for own in decisions(env, associator, worlds)], seed)
 

@@ -1,9 +1,9 @@
 """The training of the learned driver, from worlds to weights.
 
-From a state of a drive the drive goes on once for each of the most promising goals, by that goal and then as
-information gain drives. By how much a goal is better than that driver's own choice holds for a driver who knows no
-more: on average over worlds it is what the driver should have done (a rollout algorithm; Bertsekas, Tsitsiklis and Wu,
-1997). A network of attention between goals learns it, as a score that is added to the greedy one.
+From a state of a drive, the drive continues once with each of the most promising goals, and then as information gain
+drives. The result tells by how much each goal is better than the choice of that driver (a rollout algorithm;
+Bertsekas, Tsitsiklis and Wu, 1997). A network with attention between goals learns the mean over worlds of this
+difference from what a robot can see, as a score that is added to the greedy one.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -21,17 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.drivers.baselines import rates
-from agents.drivers.learned import (
-    HEADS,
-    MEMBERS,
-    SHAPES,
-    TOKEN_FIELDS,
-    VERSION,
-    Arrays,
-    Tokens,
-    scores,
-    tokens_of,
-)
+from agents.drivers.learned import HEADS, MEMBERS, SHAPES, TOKEN_FIELDS, VERSION, Arrays, Tokens, scores, tokens_of
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
 from agents.evaluation.pipeline import run_all
 from agents.learning.cloning import fit
@@ -39,17 +29,17 @@ from agents.learning.sketch import Sketch, missed_by
 from slam_gym.types import Array, BoolArray
 from slam_gym.weights import Card, Weights, figure
 
-SCENARIOS = ("office", "aliased", "hall", "office", "aliased", "crowd")  # the buildings: wheels do not tell
+SCENARIOS = ("office", "aliased", "hall", "office", "aliased", "crowd")  # by building: odometry does not matter here
 FIRST_WORLD, HELD_OUT = 40_000, 5  # of the train split; every fifth is held out
-_TRIED, _RANDOM = 0.8, 0.12  # of the decisions of a drive
-_BUDGETS = (0.45, 1.1)  # of the scenario's, of which one is drawn
-_LINEAR = 2.0  # [.01 E] beyond which an error counts linearly
-_GREED = 3.0  # the scale of the greedy scores, at first
+_TRIED, _RANDOM = 0.8, 0.12  # fractions of the decisions of a drive that become examples, and that are random
+_BUDGETS = (0.45, 1.1)  # range of the budget of a drive, as a fraction of that of the scenario
+_LINEAR = 2.0  # [.01 E] error from which Huber's loss is linear
+_GREED = 3.0  # initial factor of the greedy scores
 
 
 @dataclass(frozen=True)
 class DriverPlan:
-    """How much is driven, and how often and for how long networks are trained on it."""
+    """The drives from which the examples come, and the training of the networks."""
 
     scenarios: Sequence[str] = SCENARIOS
     episodes: int = 2_000
@@ -63,10 +53,11 @@ QUICK = DriverPlan(scenarios=("office-small", "hall"), episodes=6, epochs=60, jo
 
 
 def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
-    """Drive, train the members, and judge them on worlds held out: their weights, and figures of each and of all."""
+    """The weights of all members, and figures of each and of the ensemble on held-out worlds."""
     plan, began = QUICK if quick else DriverPlan(), time.perf_counter()
     worlds = range(FIRST_WORLD, FIRST_WORLD + plan.episodes)
-    found = dict(run_all([OutlinedDrive(plan.scenarios[k % len(plan.scenarios)], k) for k in worlds], plan.jobs))
+    drives = [partial(sketched_drive, plan.scenarios[k % len(plan.scenarios)], k) for k in worlds]
+    found = dict(run_all(drives, plan.jobs))
     train = Examples.joined([found[k] for k in worlds if k % HELD_OUT])
     held_out = Examples.joined([found[k] for k in worlds if not k % HELD_OUT])
     say(f"{plan.episodes} drives, {len(train) + len(held_out)} states, {time.perf_counter() - began:.0f} s")
@@ -89,31 +80,31 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 
 
 def _figure(regrets: Sequence[Array]) -> dict[str, float]:
-    """As `figure`, of means over states, and no narrower than what other states of the same kind would give."""
+    """As `figure`, of the means of `regrets`, with an interval of at least ±3 standard errors of these means."""
     found = figure([float(own.mean()) for own in regrets])
     error = 3.0 * float(np.mean([own.std() / len(own) ** 0.5 for own in regrets]))
     low, high = found["estimate"] - error, found["estimate"] + error
     return found | {"low": max(0.0, min(found["low"], low)), "high": max(found["high"], high)}
 
 
-# -- states of drives, and what came of each goal there ----------------------------------------------------------------
+# -- states of drives, and the result of each goal there ---------------------------------------------------------------
 
 
 class Examples(NamedTuple):
-    """n states with k goals each, the most promising ones."""
+    """n states with the k most promising goals of each."""
 
-    fields: Array  # (n, k, f), and what follows, as `Tokens` has it
+    fields: Array  # (n, k, f); this and the next three are those of `Tokens`
     gaps: Array  # (n, k, k)
     greedy: Array  # (n, k)
     legal: BoolArray  # (n, k)
-    values: Array  # (n, k) [.01 of all features] mapped in the end, by each goal; 0 where not legal
+    values: Array  # (n, k) [.01 of all features] mapped at the end after each goal; 0 where not legal
 
-    def __len__(self) -> int:  # of the states, not of the fields
+    def __len__(self) -> int:  # the number of states, not of parts
         return len(self.fields)
 
     @property
     def tokens(self) -> Tokens:
-        """What the network sees."""
+        """The input of the network."""
         return Tokens(*self[:4])
 
     @classmethod
@@ -122,51 +113,44 @@ class Examples(NamedTuple):
         return cls(*(np.concatenate(columns) for columns in zip(*parts)))
 
     def batch(self, rows: Array) -> Examples:
-        """Some of the states, as tensors."""
+        """The states `rows`, as tensors."""
         fields, gaps, greedy, legal, values = (torch.as_tensor(part[rows]) for part in self)
         return Examples(fields.float(), gaps.float(), greedy.float(), legal, values.float())  # type: ignore[arg-type]
 
 
-@dataclass(frozen=True)
-class OutlinedDrive:
-    """One drive in outline in a train world, by information gain."""
-
-    scenario: str
-    world: int
-
-    def __call__(self) -> tuple[int, Examples]:
-        """The world, and the states of the drive; the same, whichever process it runs in."""
-        env, rng = _env(self.scenario), np.random.default_rng(self.world)
-        env.reset(**reset_arguments(self.world))
-        episode = env.unwrapped.episode  # type: ignore[attr-defined]
-        sketch, states = Sketch(episode, int(episode.scenario.budget * rng.uniform(*_BUDGETS))), []
-        while not sketch.over:
-            legal, chosen = sketch.legal, greedy(sketch)
-            if legal.sum() > 1 and (rng.random() < _TRIED or not states):
-                rows, tokens = tokens_of(sketch.observation(), sketch.ticks, legal)
-                values = [100.0 * (1.0 - missed_by(sketch, greedy, int(k))) if legal[k] else 0.0 for k in rows]
-                states.append((*tokens, values))
-            sketch.step(int(rng.choice(np.flatnonzero(legal))) if rng.random() < _RANDOM else chosen)
-        return self.world, Examples(*(np.array(part) for part in zip(*states)))
+def sketched_drive(scenario: str, world: int) -> tuple[int, Examples]:
+    """The train world, and the states of a drive through it by information gain; the same in every process."""
+    env, rng = _env(scenario), np.random.default_rng(world)
+    env.reset(**reset_arguments(world))
+    episode = env.unwrapped.episode  # type: ignore[attr-defined]
+    sketch, states = Sketch(episode, int(episode.scenario.budget * rng.uniform(*_BUDGETS))), []
+    while not sketch.over:
+        legal, chosen = sketch.legal, greedy(sketch)
+        if legal.sum() > 1 and (rng.random() < _TRIED or not states):
+            rows, tokens = tokens_of(sketch.observation(), sketch.ticks, legal)
+            values = [100.0 * (1.0 - missed_by(sketch, greedy, int(k))) if legal[k] else 0.0 for k in rows]
+            states.append((*tokens, values))
+        sketch.step(int(rng.choice(np.flatnonzero(legal))) if rng.random() < _RANDOM else chosen)
+    return world, Examples(*(np.array(part) for part in zip(*states)))
 
 
 @lru_cache(maxsize=4)
 def _env(scenario: str) -> gym.Env[Any, Any]:
-    """Kept for the next drive of the same process."""
+    """The environment, which is kept for the next drive of the same process."""
     return ExploreArguments(scenario, split="train").make("goal")
 
 
 def greedy(sketch: Sketch) -> int:
-    """The goal that information gain takes."""
+    """The goal that information gain chooses."""
     goals = {"path": sketch.goals.lengths, "area": sketch.goals.areas, "reduction": sketch.goals.reductions}
     return int(np.argmax(np.where(sketch.legal, rates(goals), -np.inf)))
 
 
-# -- what is learned from them -----------------------------------------------------------------------------------------
+# -- the training ------------------------------------------------------------------------------------------------------
 
 
 def untrained(rng: np.random.Generator) -> dict[str, Array]:
-    """Weights of one member, by which it drives as the greedy driver."""
+    """Initial weights of one member, by which it drives as the greedy driver does."""
     out = {name: np.zeros(shape) for name, shape in SHAPES.items()}
     for name, array in out.items():
         layer, _, part = name.rpartition(".")
@@ -180,7 +164,7 @@ def untrained(rng: np.random.Generator) -> dict[str, Array]:
 
 
 def trained(plan: DriverPlan, train: Examples, held_out: Examples, seed: int) -> tuple[Arrays, list[float]]:
-    """Weights that predict the values of goals, up to what they have in common; regret held out after each epoch."""
+    """Weights that predict the values of goals up to a constant of each state, and the regret held out by epoch."""
     rng, own = np.random.default_rng(seed), train.fields[train.legal]
     scaled = {"shift": own.mean(axis=0), "scale": 1.0 / (own.std(axis=0) + 0.05)}
     network = {name: torch.tensor(x, dtype=torch.float32) for name, x in (untrained(rng) | scaled).items()}
@@ -200,7 +184,7 @@ def trained(plan: DriverPlan, train: Examples, held_out: Examples, seed: int) ->
 
 
 def loss_of(found: Tensor, batch: Examples) -> Tensor:
-    """Huber's, of scores (b, k) and values above their means over the legal goals, summed over goals."""
+    """Huber's loss between scores (b, k) and values, both relative to their means over the legal goals of a state."""
     legal: Any = batch.legal
     off = (found - batch.values).masked_fill(~legal, 0.0)
     off = (off - off.sum(dim=1, keepdim=True) / legal.sum(dim=1, keepdim=True)).masked_fill(~legal, 0.0)
@@ -208,12 +192,12 @@ def loss_of(found: Tensor, batch: Examples) -> Tensor:
 
 
 def scores_of(members: Sequence[Arrays], examples: Examples) -> Array:
-    """(members, n, k) of each network."""
+    """(members, n, k) the scores by each network."""
     return np.stack([scores(member, examples.tokens) for member in members])
 
 
 def regret_of(found: Array, examples: Examples) -> Array:
-    """(n,) [.01 E] by which the goals of the highest scores (n, k) are worse than the best."""
+    """(n,) [.01 E] by how much the goal of the highest score (n, k) is worse than the best goal."""
     values = np.where(examples.legal, examples.values, -np.inf)
     chosen = np.where(examples.legal, found, -np.inf).argmax(axis=1)
     out: Array = values.max(axis=1) - values[np.arange(len(values)), chosen]

@@ -1,7 +1,7 @@
-"""Trained models: Stable-Baselines3's `.zip` files, the drivers that they make, and the arrays of associators.
+"""Trained models: `.zip` files of Stable-Baselines3, drivers made from them, and the arrays of associators.
 
-Such a file holds weights, which torch reads without running code, and a JSON table whose entry `about` says what the
-network is. The rest of the table is pickled: it is read only where somebody trusts the file.
+Such a file contains weights, which torch reads without running code, and a JSON table whose entry `about` describes
+the network. Other entries of the table are pickles, which are read only with `trust`.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from slam_gym.association.walks import ORDERS
 from slam_gym.weights import Card, Weights
 
 FORMAT = "slam_gym policy 3"
-_MAX_BYTES = 1 << 28  # of a file, and of what it unpacks to
+_MAX_BYTES = 1 << 28  # of a file, unpacked
 _MAX_VALUES, _MAX_ACTIONS = 1 << 17, 4_096  # of an observation; of a choice
 
 
 @dataclass(frozen=True)
 class About:
-    """What a model file says beside its weights: enough to rebuild the network, and how it was trained.
+    """The description in a model file: enough to rebuild the network, and how it was trained.
 
-    Raises ValueError for what no training makes.
+    Raises ValueError for values that no training writes.
     """
 
     action: Decision
@@ -47,7 +47,7 @@ class About:
     actions: int  # number of goals or branches, or length of the twist
     hyperparameters: Hyperparameters
     training: dict[str, Any]  # scenario, seed, versions …
-    timesteps: int = 0  # decisions that it was trained for
+    timesteps: int = 0  # decisions so far
     format: str = FORMAT
 
     def __post_init__(self) -> None:
@@ -61,18 +61,18 @@ class About:
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any], action: Decision, hyper: Hyperparameters, training: dict[str, Any]) -> About:
-        """Of a policy that is to be trained on an environment."""
+        """The description of a policy before its training on an environment."""
         assert isinstance(env.observation_space, spaces.Dict)
         shapes = {key: list(space.shape or ()) for key, space in env.observation_space.spaces.items()}
         return cls(action, shapes, spaces.flatdim(env.action_space), hyper, training)
 
     @property
     def network(self) -> tuple[Any, ...]:
-        """What its weights depend on."""
+        """The values that determine the shapes of its weights."""
         return self.action, self.observation, self.actions, self.hyperparameters.width, self.hyperparameters.hidden
 
     def policy(self) -> Any:
-        """The network, with fresh weights."""
+        """The network, with initial weights."""
         observation = spaces.Dict({
             key: spaces.Box(0, 255, shape, np.uint8) if key == "image" else spaces.Box(-1.0, 1.0, shape, np.float32)
             for key, shape in self.observation.items()
@@ -83,7 +83,7 @@ class About:
 
 
 def read_about(path: Path) -> About:
-    """What a model file says of itself. ValueError names the file where it is missing, damaged, or none of ours."""
+    """The description in a model file. Raises ValueError, naming the file, where it is missing, damaged or foreign."""
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > _MAX_BYTES:
@@ -93,7 +93,7 @@ def read_about(path: Path) -> About:
         return About(**data["about"] | {"timesteps": int(data["num_timesteps"])}, hyperparameters=hyper)
     except OSError:
         raise ValueError(f"model {path}: no such file") from None
-    except Exception as error:  # zipfile and json raise whatever the damage leads to
+    except Exception as error:  # zipfile and json raise various errors
         raise ValueError(
             f"model {path}: refused, it is no model of this package ({type(error).__name__}: {error}); "
             "--trust reads other files of Stable-Baselines3, which can run code"
@@ -101,7 +101,10 @@ def read_about(path: Path) -> About:
 
 
 def load_policy(path: Path) -> tuple[About, Any]:
-    """What a model file says of itself, and its network. ValueError as `read_about`, and where the two do not fit."""
+    """The description in a model file, and its network.
+
+    Raises ValueError as `read_about`, and for weights that are not finite or do not fit the description.
+    """
     about = read_about(path)
     try:
         weights = load_from_zip_file(path, load_data=False, device="cpu")[1]["policy"]
@@ -109,27 +112,27 @@ def load_policy(path: Path) -> tuple[About, Any]:
             raise ValueError("not all weights are finite")
         policy = about.policy()
         policy.load_state_dict(weights)
-    except Exception as error:  # torch raises whatever the damage leads to
+    except Exception as error:  # torch raises various errors
         reason = (str(error) or type(error).__name__).splitlines()[0][:300]
         raise ValueError(f"model {path}: refused, {reason}") from None
     return about, policy
 
 
 class PolicyAgent:
-    """A trained network at the wheel."""
+    """A driver that is a trained network."""
 
     name = "ppo"
 
     def __init__(self, policy: Any, action: ActionKind, *, deterministic: bool) -> None:
-        torch.set_num_threads(1)  # for one state at a time, more only get in each other's way
+        torch.set_num_threads(1)  # more threads are slower for one state at a time
         policy.set_training_mode(False)
         self.action: ActionKind = action
         self._policy, self._deterministic = policy, deterministic
 
     @classmethod
     def load(cls, path: Path, *, trust: bool = False) -> PolicyAgent:
-        """From a model file. `trust` unpickles files of Stable-Baselines3 that say nothing `about` themselves, which
-        can run code: MaskablePPO decides goals, PPO twists."""
+        """The driver of a model file. `trust` also reads files of Stable-Baselines3 without the entry `about`, by
+        unpickling, which can run code: MaskablePPO for goals, PPO for twists."""
         try:
             about, policy = load_policy(path)
         except ValueError:
@@ -159,7 +162,7 @@ class PolicyAgent:
 
 
 def branch_weights(policy: Any, about: About) -> Weights:
-    """The arrays by which a network trained on Associate-v0 associates without torch: see `tracking.ppo`."""
+    """The arrays of a network trained on Associate-v0, with which `tracking.ppo` associates without torch."""
     net, known, arrays = policy.features_extractor, about.training, {}
     layers = net.embed[0], net.embed[2], net.situation[1], net.score[0], net.score[2]
     for name, layer in zip("ABCDw", layers):

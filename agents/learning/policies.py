@@ -1,8 +1,8 @@
 """Policies and learners of Stable-Baselines3: MaskablePPO scores choices one by one (goals of Explore-v0, branches of
 Associate-v0), PPO drives by twists.
 
-Every choice passes through the same weights, together with the situation and the greatest over all legal choices
-(Deep Sets, Zaheer et al. 2017). So a permutation of the choices permutes their scores.
+Every choice passes through the same weights, together with the situation and the maximum over all legal choices (Deep
+Sets, Zaheer et al. 2017). So a permutation of the choices permutes their scores.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Decision = Literal["goal", "twist", "branch"]
 """What a policy decides: goals or twists in Explore-v0, branches of the interpretation tree in Associate-v0."""
 
 CHOICES = {"goal": ("goals", GOAL_FIELDS), "branch": ("candidates", CANDIDATE_FIELDS)}
-"""The decisions that are choices: the part of the observation that lists them, and what stands in a row of it."""
+"""The decisions that are choices: the part of the observation that lists the choices, and the columns of its rows."""
 
 # -- hyperparameters ---------------------------------------------------------------------------------------------------
 
@@ -37,20 +37,20 @@ HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
 _WHOLE_NUMBERS = ("n_steps", "batch_size", "n_epochs")
 _PPO = (*_WHOLE_NUMBERS, "learning_rate", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef")
 _LARGEST_LAYER, _LONGEST = 1_024, 10**12
-LAST = 0.05  # to which learning rate and entropy coefficient fall, of what they are at first
+LAST = 0.05  # final learning rate and entropy coefficient, as a fraction of the initial ones
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Of one training run; the file beside this module has the defaults and says what they mean.
+    """The hyperparameters of a training; the file beside this module contains the defaults, with explanations.
 
-    Raises ValueError that names what is missing, unknown, or out of its range.
+    Raises ValueError, naming the hyperparameter, for one that is missing, unknown or out of its range.
     """
 
     timesteps: int  # decisions in all
     eval_every: int  # decisions between evaluations on held-out worlds
     envs: int  # stepped in parallel
-    reward_scale: float  # the factor of the rewards that are learned from
+    reward_scale: float  # factor of the rewards in training
     width: int  # of the encoded situation
     hidden: int  # of the layers behind it
     deterministic: bool  # evaluated with the most probable action, or with one drawn from the policy
@@ -71,7 +71,7 @@ class Hyperparameters:
 
 
 def load_hyperparameters(action: Decision, path: Path = HYPERPARAMETERS) -> Hyperparameters:
-    """The table `[goal]`, `[twist]` or `[branch]` of a TOML file. ValueError names the file and what is wrong in it."""
+    """The table `[goal]`, `[twist]` or `[branch]` of a TOML file. Raises ValueError, naming the file and the error."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8")).get(action)
         if not isinstance(table, dict):
@@ -115,7 +115,7 @@ class ChoiceScorer(BaseFeaturesExtractor):
 
 
 class Columns(nn.Module):
-    """Some columns of what the scorer says."""
+    """Some columns of the output of the scorer."""
 
     def __init__(self, columns: slice) -> None:
         super().__init__()
@@ -132,13 +132,13 @@ class ChoicePolicy(MaskableMultiInputActorCriticPolicy):
         super()._build(lr_schedule)
         actions, scorer = spaces.flatdim(self.action_space), self.features_extractor
         self.action_net, self.value_net = Columns(slice(actions)), Columns(slice(actions, None))
-        nn.init.orthogonal_(scorer.score[-1].weight, 0.01)  # close to uniform over what is legal
+        nn.init.orthogonal_(scorer.score[-1].weight, 0.01)  # close to uniform over the legal actions
         nn.init.orthogonal_(scorer.value[-1].weight)
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
 def policy_of(action: Decision, actions: int, hyper: Hyperparameters) -> tuple[type[ActorCriticPolicy], dict[str, Any]]:
-    """Class and further arguments of a policy; both the trainer and the loader build it from these."""
+    """Class and further arguments of a policy, from which both trainer and loader build it."""
     if action == "twist":
         extractor = {"cnn_output_dim": hyper.width}
         return MultiInputActorCriticPolicy, {
@@ -151,7 +151,7 @@ def policy_of(action: Decision, actions: int, hyper: Hyperparameters) -> tuple[t
 
 
 def make_algorithm(action: Decision, env: Any, hyper: Hyperparameters, seed: int) -> PPO | MaskablePPO:
-    """A fresh learner on a vectorised environment."""
+    """A new learner on a vectorised environment."""
     policy, arguments = policy_of(action, spaces.flatdim(env.action_space), hyper)
     learner = MaskablePPO if action in CHOICES else PPO
     rate = hyper.ppo["learning_rate"]

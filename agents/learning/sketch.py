@@ -1,7 +1,7 @@
-"""A drive in outline, some ten times as fast as an episode: what a goal is worth can be found out by trying it.
+"""A simplified drive, some ten times as fast as an episode, to find the value of a goal by trying it.
 
-The building, the senses and the goals on offer are those of the environment. The robot knows where it is, moves along
-its path a stretch at a time, and has mapped every feature that it has once had in sight.
+Building, sensors and goals are those of the environment. The robot knows its pose, moves along its path in stretches,
+and maps every feature that was in sight often enough.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from slam_gym.types import Array, Beams, BoolArray
 from slam_gym.world.ray_casting import WallIndex, pull_back
 
 STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
-TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for what a path turns by at once, but for so much [rad]
-REPLAN = 4  # [stretches] between looks at whether the path still holds
+TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for a corner of a path, without the first so many [rad]
+REPLAN = 4  # [stretches] between checks of whether the path is still free
 QUARTER = 8  # [ticks] for a quarter of a turn
 
 Policy = Callable[["Sketch"], int]
 
 
 class Sketch:
-    """One drive, begun where `episode` begins, over `budget` ticks."""
+    """One drive of `budget` ticks, which begins where `episode` begins."""
 
     def __init__(self, episode: Episode, budget: int) -> None:
         self.budget, self.ticks = budget, 0
@@ -50,7 +50,7 @@ class Sketch:
         self._offer()
 
     def fork(self) -> Sketch:
-        """A drive that goes on from here by itself."""
+        """An independent copy, which continues from here."""
         other = copy.copy(self)
         other._grid, other._sightings = copy.deepcopy(self._grid), self._sightings.copy()
         other._tried, other._looked = copy.deepcopy(self._tried), copy.deepcopy(self._looked)
@@ -62,24 +62,24 @@ class Sketch:
 
     @property
     def missed(self) -> float:
-        """The fraction of the features that are not mapped: what there is of the map error here."""
+        """The fraction of the observable features that are not mapped, which takes the place of the map error."""
         return 1.0 - float(self._mapped[self._begun.site.observable].mean())
 
     @property
     def _mapped(self) -> BoolArray:
-        """(N,) features that were in sight often enough."""
+        """(N,) the features that were in sight often enough to be mapped."""
         out: BoolArray = self._sightings * STRETCH >= self._begun.scenario.slam.map.confirmations
         return out
 
     @property
     def legal(self) -> BoolArray:
-        """(SLOTS,) the goals to choose from: no second look around at one place while there is anything else."""
+        """(SLOTS,) the legal goals; a second look around at the same place only where no other goal is legal."""
         legal = self.goals.legal.copy()
         legal[LOOK_AROUND] = self._looked.times(self.goals.positions[:1])[0] == 0 or not legal[1:].any()
         return legal
 
     def observation(self) -> Observation:
-        """What the environment would show, as far as tokens of goals are made of it."""
+        """The parts of the environment's observation from which the tokens of goals are made."""
         seen = observe(self._begun.base, self._begun.site.plan.features.positions[self._mapped])
         return {
             "goals": encode_goals(self.goals, self._here),
@@ -88,7 +88,7 @@ class Sketch:
         }
 
     def step(self, slot: int) -> None:
-        """Carry a goal out, and see what is on offer then."""
+        """Carry out a goal, and compute the next goals."""
         before = self.ticks
         if slot == LOOK_AROUND:
             self._look_around()
@@ -99,13 +99,13 @@ class Sketch:
             self._offer()
 
     def _offer(self) -> None:
-        """What the environment would offer a robot that is sure of its pose and has nothing to go back for."""
+        """Compute the goals that the environment offers to a robot with an exact pose and no revisits."""
         robot = StochasticMap()
         robot.place(self._here, np.zeros((3, 3)))
         self.goals = propose(self._begun.scenario, robot, self._grid, Places(), self._tried)
 
     def _look(self, here: Array) -> None:
-        """Be at a pose (3,) in B, and look."""
+        """Move to a pose (3,) in B, and sense there."""
         self._here, pose = here, compose(self._begun.base, here)
         sensor, features = self._begun.scenario.sensor, self._begun.site.plan.features.positions
         dx, dy = (features - pose[:2]).T
@@ -139,7 +139,7 @@ class Sketch:
             self._tried.add(asked)
 
     def _stretch(self, path: Array) -> Array:
-        """Along a path (p, 2), p ≥ 2, that begins here, and a look at the end; what is left of the path."""
+        """Drive one stretch along a path (p, 2), p ≥ 2, that begins here, and sense at its end; returns the rest."""
         (x, y, heading), left, turned = self._here.tolist(), STRETCH * SPEED, 0.0
         while left > 1e-9 and len(path) > 1:
             dx, dy = float(path[1, 0]) - x, float(path[1, 1]) - y
@@ -156,15 +156,15 @@ class Sketch:
         return np.concatenate([self._here[None, :2], path[1:]])
 
     def _still_open(self, path: Array, goal: Array) -> Array:
-        """The path itself, or where a wall has been drawn across it another one, or as near as will do, or (0, 2)."""
+        """The path or, where a new wall blocks it, another one to the goal or near it; (0, 2) where there is none."""
         if is_free(self._grid, points_ahead(path, path[0], APART)):
             return path
         return way_to(self._grid, self._radius, self._here[:2], goal)
 
 
 def missed_by(sketch: Sketch, policy: Policy, first: int) -> float:
-    """The fraction of the features that are missed at the end of a drive which goes on from here with the goal `first`,
-    and then those of a policy. The sketch itself stays where it is."""
+    """The fraction of the features that are not mapped at the end of a drive that continues with the goal `first`, and
+    then with those of a policy. The sketch itself does not change."""
     drive = sketch.fork()
     drive.step(first)
     while not drive.over:

@@ -27,7 +27,7 @@ def suite_page(results: Results, folder: Path) -> Page:
     """The scores, their differences in the ranking, and a plot for each capability."""
     size, colour, parts = results.conditions, figures.colours(results.names), list[Part]()
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
-    association, _ = by_role(results.frame)
+    association = results.frame[results.frame["experiment"] != RELOCATION]
     if len(association):
         capability_scores = scores(association)
         parts.append(capabilities(association, f"Capabilities, {about}"))
@@ -64,12 +64,6 @@ def relocations(frame: pd.DataFrame, title: str = "") -> Table:
 
 
 # -- means over levels, then over worlds -------------------------------------------------------------------------------
-
-
-def by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The results of associators, and those of relocators."""
-    relocation = frame["experiment"] == RELOCATION
-    return frame[~relocation], frame[relocation]
 
 
 def _experiments(frame: pd.DataFrame) -> list[str]:

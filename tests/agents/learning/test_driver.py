@@ -8,7 +8,16 @@ from agents.drivers.base import LOOK_AROUND
 from agents.drivers.baselines import InformationGain
 from agents.drivers.learned import SHAPES, TOKEN_FIELDS, LearnedDriver, Tokens, load_driver, scores, tokens_of
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.learning.driver import DriverPlan, Examples, OutlinedDrive, greedy, regret_of, reproduce, trained, untrained
+from agents.learning.driver import (
+    DriverPlan,
+    Examples,
+    greedy,
+    regret_of,
+    reproduce,
+    sketched_drive,
+    trained,
+    untrained,
+)
 from agents.learning.sketch import QUARTER, Sketch, missed_by
 from slam_gym.simulation.goals import FRONTIERS
 from slam_gym.weights import write
@@ -70,7 +79,7 @@ def test_trying_a_goal_leaves_the_drive_alone_and_nobody_looks_around_twice(env)
 
 
 def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(env):
-    (world, one), (_, two) = (OutlinedDrive("office-small", 7)() for _ in range(2))
+    (world, one), (_, two) = (sketched_drive("office-small", 7) for _ in range(2))
     assert world == 7 and all(np.array_equal(a, b) for a, b in zip(one, two))
     assert (one.values[~one.legal] == 0.0).all() and (one.values[one.legal] > 0.0).all() and one.values.max() <= 100.0
     assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.fields) > 1
