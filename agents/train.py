@@ -1,9 +1,9 @@
 """`slam-gym train drive` and `slam-gym train associate`: policies by reinforcement learning.
 
 Each writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/
-(from the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`).
-`associate` also leaves associator.npz, its last weights as plain arrays: a name of an associator for every command, and
-in Python `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
+(--resume continues from the last), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`). `associate` also
+writes associator.npz, its last weights as plain arrays, which every command accepts as the name of an associator; in
+Python it is `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def associate(
     worlds = world.worlds("train")
     training = replace(training, timesteps=QUICK) if quick else training
     weights = train("branch", worlds, training, "runs/associate", clone).with_name(WEIGHTS)
-    driven = " ".join(each.scenario for each in worlds if each.scenario not in LOGS)  # nobody can drive in a log
+    driven = " ".join(each.scenario for each in worlds if each.scenario not in LOGS)  # no drives in logs
     print(f"wrote {weights}; compare it with the classical associators by\n"
           f"  slam-gym evaluate-association --associators jcbb marginal {weights} --scenario {driven}")  # fmt: skip
 

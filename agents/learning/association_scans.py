@@ -156,9 +156,9 @@ class Source:
         sensor = replace(level.scenario.sensor, kinds="not kinds" in self.hidden)
         level = replace(level, scenario=replace(level.scenario, sensor=sensor))
         for problem in problems(level, self.world, count, "train"):
-            found = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)
-            if found is not None:
-                yield found
+            decisions = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)
+            if decisions is not None:
+                yield decisions
 
     def _watched(self, run: AssociationRun, rng: np.random.Generator) -> Iterator[Decisions]:
         """The examples of a drive or a log: all ambiguous scans, and a fraction `_EASY` of the others."""
@@ -171,11 +171,11 @@ class Source:
                 ids = run.slam.map.ids
                 truth = RightAnswers.of(run.truth, seen.source_of(ids, run.identities.source_of(ids)))
                 easy = rng.random() < _EASY
-                found = decisions_of(*without(self.hidden, run.scan, run.prediction), truth)
-                if found is not None and _doubtful(found):
-                    yield found
-                elif found is not None and easy:
-                    yield found._replace(weight=1.0 / _EASY)
+                decisions = decisions_of(*without(self.hidden, run.scan, run.prediction), truth)
+                if decisions is not None and _doubtful(decisions):
+                    yield decisions
+                elif decisions is not None and easy:
+                    yield decisions._replace(weight=1.0 / _EASY)
             hypothesis = associate(run.scan, run.prediction)
             seen.add(run.slam.map.ids, hypothesis.features, run.truth.sources)
             run.associate(hypothesis)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -75,8 +75,8 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
     plan = QUICK if quick else AssociatorPlan()
     if plan.further and not os.environ.get("SLAM_GYM_DATA"):
         raise ValueError("SLAM_GYM_DATA is not set: the training looks at Victoria Park and MR.CLAM as well")
-    looked_at, others = sources(plan)
-    train, held_out = (look(found, say) for found in (looked_at, others))
+    trained_on, others = sources(plan)
+    train, held_out = (examples_of(runs, say) for runs in (trained_on, others))
     fits = []
     for seed in plan.seeds:
         network, curve = trained(plan, train, held_out, seed)
@@ -87,14 +87,14 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         "cross-entropy trained on": figure([loss for _, loss, _ in fits]),
         "cross-entropy held out, the model alone": figure([mean_loss(tensors(untrained(train, 1)), held_out)]),
         "scans": figure([float(len(train))]),
-    } | _of_shipped(held_out)
-    names = tuple(dict.fromkeys(source.title for source in looked_at))
+    } | _shipped_loss(held_out)
+    names = tuple(dict.fromkeys(source.title for source in trained_on))
     card = Card(VERSION, INPUTS, {}, names, tuple(plan.seeds), command, metrics)
     best = min(fits, key=lambda one: one[0])[-1]
     return Weights(card, {name: tensor.detach().numpy() for name, tensor in best._asdict().items()})
 
 
-def _of_shipped(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
+def _shipped_loss(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
     """The loss of the shipped weights on the same scans; nothing where those were made for other inputs."""
     try:
         network = load_network(WEIGHTS, VERSION, INPUTS)
@@ -113,25 +113,20 @@ def sources(plan: AssociatorPlan) -> tuple[list[Source], list[Source]]:
     return [*found[:trained_on], *plan.further], found[trained_on:]
 
 
-def look(found: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]:
-    """The examples of all sources, in order, with weights by kind."""
+def examples_of(runs: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]:
+    """All examples of some sources; each kind of source has its share of the weight, and the mean weight is 1."""
     kinds: dict[str, list[Decisions]] = {}
-    for source in found:
-        began, own = time.perf_counter(), list(source.scans())
-        say(f"{source.name}, world {source.world}: {len(own)} scans in {time.perf_counter() - began:.1f} s")
+    for source in runs:
+        began, scans = time.perf_counter(), list(source.scans())
+        say(f"{source.name}, world {source.world}: {len(scans)} scans in {time.perf_counter() - began:.1f} s")
         factor = _HIDDEN_COUNT if source.hidden else 1.0
-        kinds.setdefault(source.kind, []).extend(d._replace(weight=d.weight * factor) for d in own)
-    return weighed(kinds)
-
-
-def weighed(kinds: Mapping[str, Sequence[Decisions]]) -> list[Decisions]:
-    """All examples; each kind of source has its share of the weight, and the mean weight is 1."""
-    count, scans = sum(map(len, kinds.values())), []
-    shared = sum(SHARES[kind] for kind in kinds)
-    for kind, own in kinds.items():
-        factor = SHARES[kind] / shared * count / max(sum(d.weight for d in own), 1e-9)
-        scans += [d._replace(weight=d.weight * factor) for d in own]
-    return scans
+        kinds.setdefault(source.kind, []).extend(d._replace(weight=d.weight * factor) for d in scans)
+    count, shared = sum(map(len, kinds.values())), sum(SHARES[kind] for kind in kinds)
+    weighted: list[Decisions] = []
+    for kind, scans in kinds.items():
+        factor = SHARES[kind] / shared * count / max(sum(d.weight for d in scans), 1e-9)
+        weighted += [d._replace(weight=d.weight * factor) for d in scans]
+    return weighted
 
 
 # -- the network of `slam_gym.association.tracking.network`, on tensors ------------------------------------------------
@@ -164,8 +159,8 @@ def odds_of(network: Network, batch: Batch, most: float = math.inf) -> Tensor:
     net: NamedTuple = network
     given = (batch.inputs - net.centre) / net.scale
     x = given.clamp(-FARTHEST, FARTHEST)
-    own = torch.relu(x @ net.first.T + net.first_offset)
-    pooled = torch.cat([own, _most(own, batch.measured), _most(own, batch.slots)], dim=1)
+    hidden = torch.relu(x @ net.first.T + net.first_offset)
+    pooled = torch.cat([hidden, _most(hidden, batch.measured), _most(hidden, batch.slots)], dim=1)
     out = x @ net.linear + net.offset + torch.relu(pooled @ net.second.T + net.second_offset) @ net.last
     return 0.5 ** (x != given).sum(dim=1) * out.clamp(-most, most)
 
@@ -260,9 +255,9 @@ def loss_of(odds: Tensor, batch: Batch) -> Tensor:
 
 def mean_loss(network: Network, scans: Sequence[Decisions]) -> float:
     """The loss of a network of tensors over some examples, in batches."""
-    total, found = 0.0, 0.0
+    total, weighted = 0.0, 0.0
     with torch.no_grad():
         for batch in map(Batch.of, split(scans)):
             weight = float(batch.weights.sum())
-            total, found = total + weight, found + weight * float(loss_of(odds_of(network, batch), batch))
-    return found / total if total else math.nan
+            total, weighted = total + weight, weighted + weight * float(loss_of(odds_of(network, batch), batch))
+    return weighted / total if total else math.nan

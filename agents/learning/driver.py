@@ -57,9 +57,9 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
     plan, began = QUICK if quick else DriverPlan(), time.perf_counter()
     worlds = range(FIRST_WORLD, FIRST_WORLD + plan.episodes)
     drives = [partial(sketched_drive, plan.scenarios[k % len(plan.scenarios)], k) for k in worlds]
-    found = dict(run_all(drives, plan.jobs))
-    train = Examples.joined([found[k] for k in worlds if k % HELD_OUT])
-    held_out = Examples.joined([found[k] for k in worlds if not k % HELD_OUT])
+    states = dict(run_all(drives, plan.jobs))
+    train = Examples.joined([states[k] for k in worlds if k % HELD_OUT])
+    held_out = Examples.joined([states[k] for k in worlds if not k % HELD_OUT])
     say(f"{plan.episodes} drives, {len(train) + len(held_out)} states, {time.perf_counter() - began:.0f} s")
     members = []
     for seed in range(MEMBERS):
@@ -183,12 +183,12 @@ def trained(plan: DriverPlan, train: Examples, held_out: Examples, seed: int) ->
     return arrays, curve
 
 
-def loss_of(found: Tensor, batch: Examples) -> Tensor:
+def loss_of(scored: Tensor, batch: Examples) -> Tensor:
     """Huber's loss between scores (b, k) and values, both relative to their means over the legal goals of a state."""
     legal: Any = batch.legal
-    off = (found - batch.values).masked_fill(~legal, 0.0)
-    off = (off - off.sum(dim=1, keepdim=True) / legal.sum(dim=1, keepdim=True)).masked_fill(~legal, 0.0)
-    return nn.functional.huber_loss(off, torch.zeros_like(off), reduction="sum", delta=_LINEAR) / len(off)
+    errors = (scored - batch.values).masked_fill(~legal, 0.0)
+    errors = (errors - errors.sum(dim=1, keepdim=True) / legal.sum(dim=1, keepdim=True)).masked_fill(~legal, 0.0)
+    return nn.functional.huber_loss(errors, torch.zeros_like(errors), reduction="sum", delta=_LINEAR) / len(errors)
 
 
 def scores_of(members: Sequence[Arrays], examples: Examples) -> Array:
@@ -196,9 +196,9 @@ def scores_of(members: Sequence[Arrays], examples: Examples) -> Array:
     return np.stack([scores(member, examples.tokens) for member in members])
 
 
-def regret_of(found: Array, examples: Examples) -> Array:
+def regret_of(scored: Array, examples: Examples) -> Array:
     """(n,) [.01 E] by how much the goal of the highest score (n, k) is worse than the best goal."""
     values = np.where(examples.legal, examples.values, -np.inf)
-    chosen = np.where(examples.legal, found, -np.inf).argmax(axis=1)
+    chosen = np.where(examples.legal, scored, -np.inf).argmax(axis=1)
     out: Array = values.max(axis=1) - values[np.arange(len(values)), chosen]
     return out
