@@ -34,6 +34,7 @@ _DIGESTS = "digests.json"  # size and checksum of every cached file, as written 
 _MIN_FREE = 1 << 26  # bytes that must be free on the disk
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for this long
 _POLL, _REPORT = 0.2, 4.0  # [s] between checks of what is compiled, and between progress lines
+_QUIET, _RARE_POLL = 60.0, 1.0  # [s] without compilation, after which checks are rarer: they cost 3 % of a core
 _config: Any = numba.config  # its attributes are set while numba is imported
 _loops: list[Any] = []  # of the modules imported so far; a process does not need all of them
 
@@ -41,11 +42,12 @@ _loops: list[Any] = []  # of the modules imported so far; a process does not nee
 def _report_progress() -> None:
     """Report on stderr, for the lifetime of the process, which loop is being compiled and how many are ready, whenever
     a needed loop is not cached."""
-    terminal, reported = sys.stderr.isatty(), 0.0
+    terminal, reported, compiled_at = sys.stderr.isatty(), 0.0, time.monotonic()
     frequency = "at every start, as nothing can be kept" if _folder() is None else "once"
     while True:
-        time.sleep(_POLL)
+        time.sleep(_POLL if time.monotonic() - compiled_at < _QUIET else _RARE_POLL)
         busy = [loop for loop in _loops if _lookups(loop) > _signatures(loop)]
+        compiled_at = time.monotonic() if busy else compiled_at
         if busy and (terminal or time.monotonic() - reported >= _REPORT):
             reported, ready, total = time.monotonic(), sum(map(bool, map(_signatures, _loops))), len(_loops)
             message, name = f"slam_gym compiles its inner loops, {frequency}", busy[-1].__name__.strip("_")

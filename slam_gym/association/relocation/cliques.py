@@ -28,6 +28,7 @@ from slam_gym.association.relocation.problem import (
     Problem,
     answer_of,
     fewest,
+    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -52,8 +53,9 @@ def max_clique(
     """The jointly compatible hypothesis of least D² among the largest cliques of the graph of consistent pairings.
 
     A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. At most 20 000
-    maximal cliques are enumerated, and at most 256 of the largest of these are tested. `effort.limit_hit` is set where
-    a limit was reached. Raises ValueError as `gcbb` does.
+    maximal cliques are enumerated, and at most 256 of the largest of these are tested. After `location_limit` joint
+    tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. Raises ValueError as
+    `gcbb` does.
     """
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     nodes, edges = _consistent(problem, node_limit)
@@ -106,6 +108,9 @@ def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
         problem.effort[LEAVES] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
+        if problem.effort[JOINT] >= location_limit(problem):
+            problem.effort[LIMIT] = 1
+            break
         while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
             path = _without_worst(problem, path)
     return best

@@ -10,6 +10,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.problem import (
+    JOINT,
     LEAVES,
     LIMIT,
     NODES,
@@ -17,6 +18,7 @@ from slam_gym.association.relocation.problem import (
     Problem,
     answer_of,
     fewest,
+    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -24,7 +26,6 @@ from slam_gym.association.relocation.problem import (
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
-LEAF_LIMIT = 1_000  # hypotheses that a search locates, which takes a twentieth of a second
 _STAR = -1  # in place of a candidate: `*` comes next, no candidates are left
 
 
@@ -54,7 +55,7 @@ def gcbb(
     Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
     come from a feature that was seen together with those of all others, so that a strict locality loses less.
 
-    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `LEAF_LIMIT` ends the search,
+    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `location_limit` ends the search,
     `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
     map, and for a locality of another map.
     """
@@ -94,7 +95,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
         tried[level] = _STAR if feature == UNPAIRED else examined
         if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
-        if effort[NODES] == node_limit or effort[LEAVES] >= LEAF_LIMIT:
+        if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
             effort[LIMIT] = 1
             break
         effort[NODES] += 1

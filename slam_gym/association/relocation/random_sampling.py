@@ -22,6 +22,7 @@ from slam_gym.association.relocation.problem import (
     answer_of,
     fewest,
     joint_distance,
+    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -29,7 +30,6 @@ from slam_gym.association.relocation.problem import (
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
-JOINT_LIMIT = 1_000  # hypotheses that a search locates, which takes a twentieth of a second
 _SAMPLE = 3  # number of measurements in a sample
 _STAR = -1  # in place of a candidate: `*` was tried, no candidates are left
 
@@ -57,9 +57,9 @@ def random_sampling(
     All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
     of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
     generator to draw them from. `min_pairings` replaces the rule of `acceptance`. Where `node_limit`, which bounds the
-    nodes of all trees together, or `JOINT_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so
-    far is returned. Raises ValueError for bad numbers in scan or map, for a locality of another map, and for settings
-    out of range.
+    nodes of all trees together, or `location_limit` ends the search, `effort.limit_hit` is set and the best hypothesis
+    so far is returned. Raises ValueError for bad numbers in scan or map, for a locality of another map, and for
+    settings out of range.
     """
     if tries < 1 or node_limit < 1:
         raise ValueError(f"tries {tries}, node_limit {node_limit}: expected at least 1")
@@ -92,7 +92,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Be
             if feature == UNPAIRED:
                 p -= 1
                 continue
-            if effort[NODES] == node_limit or effort[JOINT] >= JOINT_LIMIT:
+            if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
                 effort[LIMIT] = 1
                 break
             effort[NODES] += 1
@@ -132,7 +132,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             tried[level] += 1
         if not paired:
             tried[level] = _STAR
-        if effort[NODES] == node_limit or effort[JOINT] >= JOINT_LIMIT:
+        if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
             effort[LIMIT] = 1
             return
         effort[NODES] += 1
