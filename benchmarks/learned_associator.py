@@ -1,0 +1,166 @@
+"""Ablations of the learning of association: what an agent has to see, and what it should be paid for.
+
+Every variant trains MaskablePPO in Associate-v0 from random weights, for 400 000 decisions and with several seeds, and
+differs from the first in one thing. Each policy then associates in drives of train worlds that no training sees, and
+the rows give its map error and the paired difference to the first variant.
+
+    python benchmarks/learned_associator.py --out runs/ablations            # an hour of one core
+    python benchmarks/learned_associator.py --variants "as it is" "reward per scan"
+
+Trainings and drives that are in the folder already are left out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+
+from agents.drivers.baselines import InformationGain
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
+from agents.learning.policies import HYPERPARAMETERS
+from agents.learning.training import WEIGHTS, train
+from agents.options import DRIFTING, Training
+from benchmarks.common import Record, options, table
+from slam_gym import weights
+from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
+from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION, walk_by
+from slam_gym.metrics.statistics import mean, paired_difference
+
+SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
+FIRST_WORLD = 30_000  # of the train split; trainings draw theirs from all of them, so they may meet one in a thousand
+
+
+@dataclass(frozen=True)
+class Variant(AssociateArguments):
+    """Arguments of Associate-v0, fields of candidates that the agent is not shown, and when it is paid."""
+
+    hidden: tuple[str, ...] = ()
+    per_scan: bool = False
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        return {name: value for name, value in super().plain.items() if name not in ("hidden", "per_scan")}
+
+    @property
+    def columns(self) -> list[int]:
+        return [CANDIDATE_FIELDS.index(name) for name in self.hidden]
+
+    def make(self, action: str = "branch") -> gym.Env[Any, Any]:
+        env = super().make(action)
+        env = _Hides(env, self.columns) if self.hidden else env
+        return _PaysPerScan(env) if self.per_scan else env
+
+
+class _Hides(gym.ObservationWrapper[Any, Any, Any]):
+    """Columns of the candidates are 0."""
+
+    def __init__(self, env: gym.Env[Any, Any], columns: list[int]) -> None:
+        super().__init__(env)
+        self._columns = columns
+
+    def observation(self, observation: Any) -> Any:
+        rows = observation["candidates"].reshape(-1, len(CANDIDATE_FIELDS)).copy()
+        rows[:, self._columns] = 0.0
+        return observation | {"candidates": rows.ravel()}
+
+
+class _PaysPerScan(gym.Wrapper[Any, Any, Any, Any]):
+    """Every scan is an episode of its own, and what its decisions earn is paid with the last of them."""
+
+    _begun: tuple[Any, dict[str, Any]] | None = None  # the scan that follows
+    _earned, _look = 0.0, -1
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        observation, info = self._begun or self.env.reset(**arguments)
+        self._begun, self._earned, self._look = None, 0.0, info["look"]
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._earned += float(reward)
+        if terminated or truncated:
+            return observation, self._earned, terminated, truncated, info
+        if info["look"] == self._look:
+            return observation, 0.0, False, False, info
+        self._begun = observation, info
+        return observation, self._earned, True, False, info
+
+
+VARIANTS = {
+    "as it is": Variant(),
+    "no outlook": Variant(hidden=("outlook", "odds", "margin")),
+    "no sightings, age, confirmed": Variant(hidden=("sightings", "age", "confirmed")),
+    "nearest measurements first": Variant(order="nearest_first"),
+    "reward per scan": Variant(per_scan=True),
+}
+
+
+def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
+    """The weights of a training in a folder. Those of columns that it was not shown are 0."""
+    path = out / WEIGHTS
+    if path.exists():
+        return path
+    out.mkdir(parents=True, exist_ok=True)
+    text = HYPERPARAMETERS.read_text(encoding="utf-8")
+    hyper = out / "hyperparameters.toml"
+    hyper.write_text(text.replace("gamma = 0.0 ", "gamma = 1.0 ") if variant.per_scan else text, encoding="utf-8")
+    training = Training(timesteps, seed, out, hyperparameters=hyper, eval_every=10 * timesteps, eval_episodes=1)
+    train("branch", [replace(variant, scenario=name) for name in DRIFTING], training, str(out))
+    learned = weights.load(path, VERSION, INPUTS, SHAPES)
+    columns = np.array(learned.arrays["A"])
+    columns[:, variant.columns] = 0.0
+    weights.write(path, learned._replace(arrays={**learned.arrays, "A": columns}))
+    return path
+
+
+def driven(path: Path, scenarios: tuple[str, ...], worlds: int) -> Iterator[Record]:
+    """What drives with weights come to."""
+    for scenario in scenarios:
+        arguments = ExploreArguments(scenario, split="train", relocation=None)
+        for world in range(FIRST_WORLD, FIRST_WORLD + worlds):
+            env = arguments.make("goal", associator=walk_by(path))
+            record = run_episode(env, InformationGain(), world)
+            measures = ("map_error", "precision", "recall", "duplicates")
+            yield {"scenario": scenario, "world": world} | {name: record[name] for name in measures}
+
+
+def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]:
+    """Of each variant and scenario the means, and the paired difference of the map error to the first variant."""
+    keys, measures = ["seed", "world"], ["map_error", "precision", "recall", "duplicates"]
+    for scenario, group in drives.groupby("scenario", sort=False):
+        first = None
+        for variant, rows in group.groupby("variant", sort=False):
+            errors = rows.sort_values(keys).pivot(index="world", columns="seed", values="map_error").mean(axis=1)
+            first = errors if first is None else first
+            interval = paired_difference(errors.to_numpy(), first.to_numpy(), rng, statistic=mean)
+            difference = "" if first is errors else "{:+.3f} [{:+.3f}, {:+.3f}]".format(interval.estimate, interval.low, interval.high)
+            yield {"scenario": scenario, "variant": variant, **rows[measures].mean(), "difference [95 %]": difference}
+
+
+def main() -> None:
+    a = options(__doc__, variants=tuple(VARIANTS), seeds=3, timesteps=400_000, worlds=20, out="")
+    with contextlib.ExitStack() as stack:
+        out = Path(a.out or stack.enter_context(TemporaryDirectory()))
+        names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
+        timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
+        found = []
+        for name in names:
+            for seed in range(a.seed, a.seed + seeds):
+                folder = out / name.replace(" ", "-") / str(seed)
+                path = trained(VARIANTS[name], seed, timesteps, folder)
+                if not (folder / "drives.csv").exists():
+                    pd.DataFrame(driven(path, scenarios, worlds)).to_csv(folder / "drives.csv", index=False)
+                found.append(pd.read_csv(folder / "drives.csv").assign(variant=name, seed=seed))
+        table("Drives of train worlds", list(compared(pd.concat(found), np.random.default_rng(a.seed))))
+
+
+if __name__ == "__main__":
+    main()
