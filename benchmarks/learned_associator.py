@@ -35,7 +35,7 @@ from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION, walk_by
 from slam_gym.metrics.statistics import mean, paired_difference
 
 SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
-FIRST_WORLD = 30_000  # of the train split; trainings draw theirs from all of them, so they may meet one in a thousand
+FIRST_WORLD = 30_000  # of the million of the train split, of which a training draws some hundreds
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
         for variant, rows in group.groupby("variant", sort=False):
             errors = rows.sort_values(keys).pivot(index="world", columns="seed", values="map_error").mean(axis=1)
             first = errors if first is None else first
-            interval = paired_difference(errors.to_numpy(), first.to_numpy(), rng, statistic=mean)
-            difference = "" if first is errors else "{:+.3f} [{:+.3f}, {:+.3f}]".format(interval.estimate, interval.low, interval.high)
+            gap = paired_difference(errors.to_numpy(), first.to_numpy(), rng, statistic=mean)
+            difference = "" if first is errors else f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
             yield {"scenario": scenario, "variant": variant, **rows[measures].mean(), "difference [95 %]": difference}
 
 
