@@ -145,6 +145,8 @@ def training(theme: dict[str, str]) -> Figure:
         axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], lw=1, label=label)
     greedy = seeds.dropna(subset="held_out_return").groupby("decisions").held_out_return.mean()
     axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], label="held-out worlds, greedy, their mean")
+    clone = data[data.who == "clone"]
+    axes.plot(clone.decisions / 1e6, clone.train_score, color=theme["blue"], lw=1, label="begun as a clone of marginal")
     for who, colour in colours.items():
         level = data[data.who == who].held_out_return.iloc[0]
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
