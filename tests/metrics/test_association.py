@@ -86,11 +86,6 @@ def test_when_the_oldest_is_removed_its_duplicate_becomes_the_right_feature():
     assert identities.source_of(np.array([0, 1])).tolist() == [7, 7]  # still known after they have gone
 
 
-def test_lengths_must_agree():
-    with pytest.raises(ValueError, match=r"2 measurements, truth\.sources 1"):
-        update(Identities(), step([NO_ID, NO_ID]), truth(3))
-
-
 def random_run(rng, steps=250, features=12):
     """Steps of a careless associator: it pairs, invents, refuses and forgets at random."""
     alive, source_of = [], {}

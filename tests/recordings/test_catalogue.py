@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.recordings import DATA, Recording, RecordingError, open_recordings, save
-from slam_gym.recordings.reading import Spans, starts_of
+from slam_gym.recordings.reading import Spans
 from tests.recordings.test_recording import by_hand
 
 G2O = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 5 2 1 4 0 4\nVERTEX_SE2 0 3 4 0\nVERTEX_SE2 1 4 4 0\n"
@@ -59,8 +59,3 @@ def test_spans_are_cut_where_commands_take_over() -> None:
     assert spans.sums(spans.seconds, 4).tolist() == [0.0, 1.0, 0.0, 3.0]
     assert spans.headings(np.array([1.0, 2.0, 4.0, 8.0])).tolist() == [0.0, 1.0, 0.0, 4.0]
     assert len(Spans.between(looks[:1], commands).step) == 0
-
-
-def test_steps_start_where_those_before_them_end() -> None:
-    assert starts_of([2, 0, 3]).tolist() == [0, 2, 2, 5] and starts_of([]).tolist() == [0]
-    assert starts_of(np.array([True, False, True])).dtype == np.int64

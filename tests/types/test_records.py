@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Odometry, Relocation, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Effort, Landmarks, Odometry, Relocation, Scan
 
 
 def test_a_record_cannot_be_changed_and_its_copies_are_equal() -> None:
@@ -107,10 +107,6 @@ def test_what_does_not_fit_is_refused_by_name(make, message) -> None:
 FEATURES = np.array([4, UNPAIRED, 0, 7])
 
 
-def test_what_is_unpaired_is_no_pairing() -> None:
-    assert Hypothesis(FEATURES, 3.0, 6, Effort()).pairings == 3
-
-
 def test_a_relocation_needs_enough_pairings_at_one_pose_only() -> None:
     found = Relocation(FEATURES, np.zeros(3), np.eye(3), 1.0, 3, 3, ambiguous=False, ties=0, effort=Effort())
     assert found.accepted
@@ -136,11 +132,6 @@ def test_a_covariance_that_does_not_fit_is_refused() -> None:
 def test_one_way_of_telling_covariances_is_asked_for() -> None:
     with pytest.raises(ValueError, match="exactly one of the three"):
         Landmarks.from_points([[1, 2]], sigma=0.1, covariance=np.eye(2))
-
-
-def test_a_locality_is_read_row_by_row() -> None:
-    locality = Locality(np.array([0, 2, 4, 5]), np.array([0, 1, 0, 1, 2]))
-    assert len(locality) == 3 and [locality.of(j).tolist() for j in range(3)] == [[0, 1], [0, 1], [2]]
 
 
 def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:

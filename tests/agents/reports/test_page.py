@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from agents import report
-from agents.evaluation.pipeline import KINDS
 from agents.reports.figures import colours
-from agents.reports.page import PAGES, write_report
+from agents.reports.page import write_report
 from tests.agents import typed
 from tests.agents.reports import PNG, Page
 
@@ -82,10 +81,6 @@ def test_numbers_that_are_none_end_in_one_line(folder, column, value):
         and told.stderr.count("\n") == 1
         and f"results.csv or results.json of {folder}" in told.stderr
     )
-
-
-def test_every_kind_of_evaluation_has_a_report_but_the_leaderboard():
-    assert {*PAGES, "leaderboard"} == set(KINDS)
 
 
 def test_a_name_keeps_its_colour_and_the_ceiling_has_its_own():
