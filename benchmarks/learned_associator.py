@@ -60,7 +60,7 @@ class Variant(AssociateArguments):
 
 
 class _Hides(gym.ObservationWrapper[Any, Any, Any]):
-    """Columns of the candidates are 0."""
+    """Sets columns of the candidates to 0."""
 
     def __init__(self, env: gym.Env[Any, Any], columns: list[int]) -> None:
         super().__init__(env)
@@ -104,7 +104,7 @@ VARIANTS = {
 
 
 def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
-    """The weights of a training in a folder. Those of columns that it was not shown are 0."""
+    """The file of the weights that a training leaves in a folder; the weights of hidden columns are 0."""
     path = out / WEIGHTS
     if path.exists():
         return path
@@ -122,7 +122,7 @@ def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
 
 
 def driven(path: Path, scenarios: tuple[str, ...], worlds: int) -> Iterator[Record]:
-    """What drives with weights come to."""
+    """One row for each drive in which the associator has these weights."""
     for scenario in scenarios:
         arguments = ExploreArguments(scenario, split="train", relocation=None)
         for world in range(FIRST_WORLD, FIRST_WORLD + worlds):

@@ -84,7 +84,9 @@ def associate() -> Any:
     _, info = env.reset(seed=1)
     while info["action_mask"].sum() < 5 or env.walk.pairings < 3:
         right = info["truth"]["action"]
-        _, _, _, _, info = env.step(right if right >= 0 else env.K)
+        _, _, over, _, info = env.step(right if right >= 0 else env.K)
+        if over:
+            _, info = env.reset()
     return env.render()
 
 

@@ -20,6 +20,7 @@ from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, same_local_map, within
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
+from slam_gym.validation import one_of
 
 LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
 DENSITY = 0.02  # [1/m²]
@@ -52,7 +53,12 @@ class SurveyedField:
     map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
-        """One of `LOCALITIES`, or KeyError. Local maps: seen during the same one; joined: each is of the oldest."""
+        """The locality of that name, one of `LOCALITIES`.
+
+        In "local maps" two features are local to each other if they were seen during the same local map; in "joined
+        maps", if they were first seen during the same one. Raises ValueError for an unknown name.
+        """
+        one_of("locality", name, LOCALITIES)
         localities: dict[str, Callable[[], Locality | None]] = {
             "covisibility": lambda: covisible(self.in_scan),
             "two hops": lambda: covisible(self.in_scan, hops=2),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import ASSOCIATORS, gcbb, random_sampling
-from slam_gym.association.relocation.problem import location_limit, problem_of
+from slam_gym.association.relocation.problem import LOCATION_LIMIT
 from slam_gym.association.tracking.hypotheses import JOINT_TESTS, MOST_CANDIDATES
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Landmarks, Odometry, Scan
@@ -65,8 +65,7 @@ def test_searches_without_a_prior_end():
     rng = np.random.default_rng(0)
     scan = Scan.from_points(rng.uniform(-4, 4, (20, 2)), sigma=0.3)
     landmarks = Landmarks.from_points(rng.uniform(-6, 6, (120, 2)), sigma=0.2)
-    limit = location_limit(problem_of(scan, landmarks, None, 0.99))
     deep, sampled = gcbb(scan, landmarks), random_sampling(scan, landmarks)
-    assert deep.effort.limit_hit and not deep.accepted and deep.effort.joint_tests <= limit
+    assert deep.effort.limit_hit and not deep.accepted and deep.effort.joint_tests <= LOCATION_LIMIT
     assert sampled.effort.limit_hit and not sampled.accepted
-    assert sampled.effort.joint_tests < limit + len(landmarks)  # a level may test all features
+    assert sampled.effort.joint_tests < LOCATION_LIMIT + len(landmarks)  # a level may test all features

@@ -43,3 +43,5 @@ def test_every_locality_has_a_name_and_contains_the_feature_itself() -> None:
     for name in LOCALITIES:
         locality = field.locality(name)
         assert locality is None or all(j in locality.of(j) for j in range(100))
+    with pytest.raises(ValueError, match="locality='rooms'; known: covisibility"):
+        field.locality("rooms")

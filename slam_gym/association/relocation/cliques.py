@@ -22,13 +22,13 @@ from slam_gym.association.relocation.problem import (
     JOINT,
     LEAVES,
     LIMIT,
+    LOCATION_LIMIT,
     NODES,
     UNARY,
     Best,
     Problem,
     answer_of,
     fewest,
-    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -53,7 +53,7 @@ def max_clique(
     """The jointly compatible hypothesis of least D² among the largest cliques of the graph of consistent pairings.
 
     A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. At most 20 000
-    maximal cliques are enumerated, and at most 256 of the largest of these are tested. After `location_limit` joint
+    maximal cliques are enumerated, and at most 256 of the largest of these are tested. After `LOCATION_LIMIT` joint
     tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. Raises ValueError as
     `gcbb` does.
     """
@@ -108,7 +108,7 @@ def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
         problem.effort[LEAVES] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
-        if problem.effort[JOINT] >= location_limit(problem):
+        if problem.effort[JOINT] >= LOCATION_LIMIT:
             problem.effort[LIMIT] = 1
             break
         while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):

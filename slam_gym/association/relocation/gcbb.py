@@ -13,12 +13,12 @@ from slam_gym.association.relocation.problem import (
     JOINT,
     LEAVES,
     LIMIT,
+    LOCATION_LIMIT,
     NODES,
     Best,
     Problem,
     answer_of,
     fewest,
-    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -55,7 +55,7 @@ def gcbb(
     Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
     come from a feature that was seen together with those of all others, so that a strict locality loses less.
 
-    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `location_limit` ends the search,
+    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `LOCATION_LIMIT` ends the search,
     `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
     map, and for a locality of another map.
     """
@@ -95,7 +95,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
         tried[level] = _STAR if feature == UNPAIRED else examined
         if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
-        if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
+        if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
             effort[LIMIT] = 1
             break
         effort[NODES] += 1

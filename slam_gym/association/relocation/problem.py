@@ -20,7 +20,7 @@ _COUNTED = ("nodes", "unary_tests", "binary_tests", "orientation_tests", "leaves
 NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
 """Indices of the counts in `Problem.effort`, named as in `Effort`; the last is 1 where a limit ended the search."""
 
-_LOCATED = 1_000  # hypotheses that a search locates in a small map, which takes a twentieth of a second
+LOCATION_LIMIT = 5_000  # hypotheses that a search locates, which takes a quarter of a second
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 
 
@@ -82,12 +82,6 @@ def nothing_found(measurements: int) -> Best:
 def fewest(best: Best, rivals: bool) -> int:
     """The least number of pairings worth keeping: more than the best has, or with `rivals` as many."""
     return int(best.state[0] + (best.state[1] == 0 or not rivals))
-
-
-@inlined
-def location_limit(problem: Problem) -> int:
-    """The greatest number of hypotheses that a search locates: 1 000, and one for each feature of the map."""
-    return _LOCATED + len(problem.mapped.positions)
 
 
 @compiled

@@ -15,6 +15,7 @@ from slam_gym.association.relocation.problem import (
     JOINT,
     LEAVES,
     LIMIT,
+    LOCATION_LIMIT,
     NODES,
     TRIES,
     Best,
@@ -22,7 +23,6 @@ from slam_gym.association.relocation.problem import (
     answer_of,
     fewest,
     joint_distance,
-    location_limit,
     nothing_found,
     offer,
     problem_of,
@@ -57,7 +57,7 @@ def random_sampling(
     All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
     of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
     generator to draw them from. `min_pairings` replaces the rule of `acceptance`. Where `node_limit`, which bounds the
-    nodes of all trees together, or `location_limit` ends the search, `effort.limit_hit` is set and the best hypothesis
+    nodes of all trees together, or `LOCATION_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis
     so far is returned. Raises ValueError for bad numbers in scan or map, for a locality of another map, and for
     settings out of range.
     """
@@ -92,7 +92,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Be
             if feature == UNPAIRED:
                 p -= 1
                 continue
-            if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
+            if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
                 effort[LIMIT] = 1
                 break
             effort[NODES] += 1
@@ -132,7 +132,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             tried[level] += 1
         if not paired:
             tried[level] = _STAR
-        if effort[NODES] == node_limit or effort[JOINT] >= location_limit(problem):
+        if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
             effort[LIMIT] = 1
             return
         effort[NODES] += 1

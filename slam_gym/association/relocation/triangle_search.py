@@ -39,8 +39,7 @@ from slam_gym.types import UNPAIRED, Array, IntArray
 FAR = 255  # in the raster of distances: beyond its range
 _TURNS = 16  # rotations of a scan that are tried, to find narrower groups
 _ROUNDS = 6  # of locating and pairing again; two are usually enough
-_PAIRING = 30  # nodes that pairing a scan at a pose counts as: it takes as long as testing this many by the raster
-_LOCATING = 30  # nodes that locating a hypothesis counts as, for the same reason
+_LOCATING = 30  # nodes that a location counts as: it takes as long as testing this many poses against the raster
 
 Integers16 = NDArray[np.int16]
 Integers32 = NDArray[np.int32]
@@ -276,7 +275,6 @@ def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners:
     for t in np.flatnonzero(unmatched <= m - fewest(best, True)):
         if problem.effort[NODES] > query.node_limit:
             break
-        problem.effort[NODES] += _PAIRING
         _locate_robot(seed, poses[:, t], located)
         k = _pair_at(table, query, located, triangles[t, 0], fewest(best, True), features, squares)
         if k > 0 and _is_new_seed(query, best, corners, triangles[t]):
@@ -380,7 +378,6 @@ def _examine(
             path.measurements[a], path.features[a] = path.measurements[a + 1], path.features[a + 1]
         k -= 1
         problem.effort[JOINT] += 1
-        problem.effort[NODES] += _LOCATING
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
     if k >= needed:
         keep(best, path, k, pose, covariance, distance)

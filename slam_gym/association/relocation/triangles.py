@@ -43,7 +43,7 @@ _WITHIN = 23  # features within reach of each feature; more in small maps
 _SAMPLE = 200  # features sampled to determine the reach
 _TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # maximum in any map, or for each feature
 _NEAREST = 24  # neighbours relative to which the error of a feature is taken, every other one of them
-_POSES, _POSES_EACH = 20_000, 6  # of the default node limit: in any map, and for each feature
+_POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
 _RASTER_CELLS = 512  # maximum for each feature
 
@@ -92,10 +92,9 @@ class FeatureIndex:
         search ends once no pose that explains as many measurements as needed can be missed. It also ends with one
         pairing more, once disjoint triples of the paired measurements have shown no other similar place.
 
-        `node_limit` bounds the nodes, which are the poses verified. The pairings of a pose that is not refused at once
-        count as 30 more, and so does every location. Default: 20 000 plus 6 for each feature, some three times what it
-        takes to reject a scan of 20 measurements from elsewhere. Where it is reached, `effort.limit_hit` is set, and
-        the answer is the best found so far.
+        `node_limit` bounds the nodes, which are the poses verified; every location counts as 30. Default: 20 000 plus 3
+        for each feature, some three times what it takes to reject a scan of 20 measurements from elsewhere. Where it is
+        reached, `effort.limit_hit` is set, and the answer is the best found so far.
 
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.

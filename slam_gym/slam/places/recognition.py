@@ -40,7 +40,7 @@ class RecognitionSpec:
     """Settings of place recognition: what is searched for while the robot is tracked, and when a match is accepted."""
 
     search: str | Relocator = "indexed"  # finds the recent part among other features
-    node_limit: int = 150_000  # nodes that `indexed` visits before it gives up
+    node_limit: int = 5_000  # poses that `indexed` examines before it gives up
     every: int = 20  # [scans] between searches
     group: int = 20  # most features of the recent part: those seen last
     recent: int = 60  # [scans] features seen in the last so many are recent, all others are older
