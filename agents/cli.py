@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
+from functools import partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -85,7 +86,7 @@ def evaluate(evaluation: Evaluation, execution: Execution, out: Path, films: Seq
         raise
     from agents.reports.page import page_of, write_report  # matplotlib takes a second to import
 
-    (report,) = track(map(write_report, [out]), "report", total=1)
+    report = write_report(out, partial(track, description="report"))
     for table in page_of(results, out).tables:
         print_table(table, Console())
     print(f"report: {report}")

@@ -196,13 +196,17 @@ def _environment(spec: Any) -> str:
 
 
 def _scenario_index() -> str:
-    rows = [f"[`{s.name}`]({s.name}.md) | {s.budget} | {_worlds(s)} | {_about(s)}" for s in SCENARIOS.values()]
-    suite = "[`closure/0` …](suite.md) | 600 | The 40 levels of the suite | "
+    rows = [
+        f"[![A world of {s.name}](../pictures/small_{s.name}.png)]({s.name}.md) | [`{s.name}`]({s.name}.md) | "
+        f"{_about(s)} | {_worlds(s)} | {s.budget}"
+        for s in SCENARIOS.values()
+    ]
+    suite = " | [`closure/0` …](suite.md) | one parameter in five levels | The 40 levels of the suite | 600"
     return _page(
         "# Scenarios",
         "A scenario defines everything about an episode but its seed: a generator of worlds, a robot with its "
         "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
-        _table("Scenario | Ticks (0.1 s) | Worlds | What is special", [*rows, suite]),
+        _table(" | Scenario | What is special | Worlds | Ticks (0.1 s)", [*rows, suite]),
     )
 
 

@@ -28,7 +28,10 @@ from agents.drivers.base import make_agent, visible
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import compose, transform
 from slam_gym.metrics.association import Decision
+from slam_gym.rendering import symbols
+from slam_gym.rendering.canvas import Canvas, pixels
 from slam_gym.rendering.plot import plot_episode, plot_scan
+from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.simulation.surveyed_field import surveyed_field
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -37,14 +40,16 @@ from slam_gym.world import corridor
 
 FOLDER = Path(__file__).parent / "pictures"
 COLOURS = 256  # of a picture: few enough for small files
+PAUSE = 14  # frames at the first wrong pairing of a film
+SMALL = (200, 128)  # [pixels] of a picture in the list of scenarios
 RED, BLUE, GREEN, GREY, INK = "#c8553d", "#2b6ca3", "#3a8a5c", "#b8bec6", "#2f3640"
 STYLE = {
-    "figure.dpi": 110, "font.size": 9, "axes.titlesize": 10, "axes.titleweight": "bold", "axes.edgecolor": GREY,
+    "figure.dpi": 110, "font.size": 9.5, "axes.titlesize": 10, "axes.titleweight": "bold", "axes.edgecolor": GREY,
     "axes.spines.top": False, "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK,
 }  # fmt: skip
 
 
-def save(name: str, picture: Any) -> None:
+def save(name: str, picture: Any, colours: int = COLOURS) -> None:
     """Write an array (h, w, 3) uint8, or the current figure of matplotlib (None), with few colours."""
     if picture is None:
         figure = plt.gcf()
@@ -52,7 +57,7 @@ def save(name: str, picture: Any) -> None:
         picture = np.asarray(figure.canvas.buffer_rgba())[:, :, :3]  # type: ignore[attr-defined]
         plt.close(figure)
     image = Image.fromarray(np.ascontiguousarray(picture))
-    image = image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)  # keeps rare colours
+    image = image.quantize(colours, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)  # keeps rare colours
     image.save(FOLDER / f"{name}.png", optimize=True)
 
 
@@ -60,7 +65,7 @@ def save(name: str, picture: Any) -> None:
 
 
 def driven(scenario: str, ticks: int, world: int = 0, **arguments: Any) -> Any:
-    """A test world, explored by information gain until `ticks` have passed or the budget is spent: the picture."""
+    """A test world, explored by information gain until `ticks` have passed or the budget is spent: the environment."""
     env = gym.make(
         "slam_gym/Explore-v0", scenario=scenario, split="test", render_mode="rgb_array", disable_env_checker=True,
         **arguments,
@@ -72,17 +77,37 @@ def driven(scenario: str, ticks: int, world: int = 0, **arguments: Any) -> Any:
     while driven < ticks and not over:
         observation, _, over, _, info = env.step(agent.act(observation, visible(info)))
         driven += info["ticks"]
+    return env
+
+
+def explore() -> Any:
+    """The office after all its ticks."""
+    return driven("office", 800).render()
+
+
+def scenario(name: str) -> Any:
+    """A world of a scenario after all its ticks. Saves a small picture of it as well."""
+    arguments = {"relocation": "gcbb"} if name == "kidnapped" else {}
+    env = driven(name, SCENARIOS[name].budget, world=1, **arguments)
+    episode = env.unwrapped.episode
+    all_of_it, (x0, y0, x1, y1) = scene_of_episode(episode), episode.site.plan.bounds
+    scale = min(SMALL[0] / (x1 - x0 + 1.0), SMALL[1] / (y1 - y0 + 1.0))
+    low = 0.5 * (x0 + x1) - 0.5 * SMALL[0] / scale, 0.5 * (y0 + y1) - 0.5 * SMALL[1] / scale
+    canvas = Canvas(SMALL, low, scale, symbols.UNKNOWN_CELL)
+    shown = ("walls", "furniture", "people", "true_pose", "true_trail", "trail", "grid")
+    draw_scene(canvas, Scene(**{name: getattr(all_of_it, name) for name in shown}))
+    save(f"small_{name}", pixels(canvas.picture()), 32)
     return env.render()
 
 
 def associate() -> Any:
-    """A decision among many branches, of a robot with bad wheels."""
+    """A decision among many branches, of which the right one is not the nearest, of a robot with bad wheels."""
     wheels = {"odometry.turn_per_metre": 0.3, "odometry.turn_per_radian": 0.3}
     env: Any = gym.make(
         "slam_gym/Associate-v0", scenario="office", overrides=wheels, split="test", render_mode="rgb_array"
     ).unwrapped
     _, info = env.reset(seed=1)
-    while info["action_mask"].sum() < 5 or env.walk.pairings < 3:
+    while info["action_mask"].sum() < 4 or env.walk.pairings < 3 or info["truth"]["action"] < 1:
         right = info["truth"]["action"]
         _, _, over, _, info = env.step(right if right >= 0 else env.K)
         if over:
@@ -121,7 +146,7 @@ def compatibility() -> None:
 def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     """An associator that draws the pairings of nearest neighbour and JCBB, and returns JCBB's; `right` are the true."""
     answers = {"nearest neighbour": nearest_neighbour(scan, prediction), "JCBB": jcbb(scan, prediction)}
-    _, axes = plt.subplots(1, 2, figsize=(11.5, 4.9), sharex=True, sharey=True, layout="constrained")
+    _, axes = plt.subplots(1, 2, figsize=(8.7, 4.1), sharex=True, sharey=True, layout="constrained")
     for ax, (name, answer) in zip(axes, answers.items()):
         plot_scan(scan, prediction, answer, ax, right=replace(answer, features=right))
         wrong = int((answer.features != right).sum())
@@ -131,13 +156,13 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     axes[0].plot([], [], "o", mfc="white", color=INK, ms=4.5, label="predicted feature, with its 99 % gate")
     axes[0].plot([], [], "x", color=INK, ms=6, mew=1.6, label="measurement")
     axes[0].plot([], [], color=GREEN, lw=2, label="paired rightly")
-    axes[0].plot([], [], color=RED, lw=2, ls="--", label="paired wrongly")
+    axes[0].plot([], [], color=RED, lw=2, ls="--", marker="x", ms=8, mew=2.8, label="paired wrongly")
     axes[0].legend(frameon=False, loc="upper right")
     return answers["JCBB"]
 
 
 def film() -> list[Image.Image]:
-    """The frames of a film of one drive, mapped by nearest neighbour and by the default, side by side."""
+    """The frames of a film of one drive, mapped by nearest neighbour and by the default, side by side, with pauses."""
     speeds, every = one_drive("drift-3", WORLD), 5
     panels = [panels_of(speeds, name, every) for name in ASSOCIATORS]
     width = max(panel.width for side in panels for panel in side)
@@ -147,13 +172,17 @@ def film() -> list[Image.Image]:
         frame.paste(left, (0, 0))
         frame.paste(right, (width, 0))
         frames.append(frame)
+        for side in (left, right):
+            if "wrong" in side.info:
+                frames += PAUSE * [frame]
     return frames
 
 
 def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
     """A picture after every `every` ticks of a drive that an associator maps: the map so far, and the pairings of the
-    scan, green where they are right, red and thick where they are wrong."""
-    panels = []
+    scan, green where they are right, red and thick where they are wrong. `info["wrong"]` marks the first with a wrong
+    pairing."""
+    panels: list[Image.Image] = []
 
     def watch(episode: Any) -> None:
         if episode.ticks % every and episode.ticks != len(speeds):
@@ -172,11 +201,13 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
         ax.spines[:].set_visible(False)
         name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
         figure.text(0.5, 0.945, name, ha="center", fontsize=12, weight="bold")
-        tally = episode.identities.total
+        tally, before = episode.identities.total, any("wrong" in panel.info for panel in panels)
         caption = f"map error {episode.map_error():.2f}, {tally.fp} of {tally.tp + tally.fp} pairings wrong"
         figure.text(0.5, 0.88, caption, ha="center", fontsize=9.5)
         figure.canvas.draw()
         panels.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()))  # type: ignore[attr-defined]
+        if Decision.WRONG in episode.identities.decisions and not before:
+            panels[-1].info["wrong"] = True
         plt.close(figure)
 
     mapped("drift-3", WORLD, speeds, watch=watch, associator=associator)
@@ -202,7 +233,7 @@ def locality() -> None:
         "local maps": "local maps",
     }
     colours = (BLUE, GREEN, "#e0a030", "#7d5ba6")
-    _, axes = plt.subplots(1, 4, figsize=(12.5, 3.5), layout="constrained", sharey=True)
+    _, axes = plt.subplots(1, 4, figsize=(8.7, 2.6), layout="constrained", sharey=True)
     for ax, (name, title), colour in zip(axes, titles.items(), colours):
         members = area.locality(name).of(first)
         ax.plot(*area.path[:, :2].T, color="#e6e9ed", lw=2, zorder=0)
@@ -216,13 +247,12 @@ def locality() -> None:
 # -- command ---------------------------------------------------------------------------------------------------------
 
 PICTURES: dict[str, Callable[[], Any]] = {
-    "explore": partial(driven, "office", 800),
+    "explore": explore,
     "associate": associate,
     "relocate": relocate,
     "compatibility": compatibility,
     "locality": locality,
-} | {f"scenario_{name}": partial(driven, name, scenario.budget, world=1) for name, scenario in SCENARIOS.items()}
-PICTURES["scenario_kidnapped"] = partial(driven, "kidnapped", 800, world=1, relocation="gcbb")
+} | {f"scenario_{name}": partial(scenario, name) for name in SCENARIOS}
 
 
 def main(names: list[str]) -> int:

@@ -273,7 +273,7 @@ def test_pictures_are_small_and_shown() -> None:
     pages = "\n".join(text_of(page) for page in PAGES) + (ROOT / "docs" / "hooks.py").read_text()
     for picture in (ROOT / "docs" / "pictures").glob("*.png"):
         assert picture.stat().st_size < LARGEST_PICTURE, picture.name
-        assert picture.name in pages or picture.name.startswith(("scenario_", "suite_")) or picture.stem in pages
+        assert picture.name in pages or picture.name.startswith(("scenario_", "small_")) or picture.stem in pages
 
 
 def test_the_film_is_small_and_shown_first() -> None:
@@ -283,7 +283,7 @@ def test_the_film_is_small_and_shown_first() -> None:
 
 def test_every_environment_and_scenario_has_its_picture() -> None:
     names = [spec.name.lower() for spec in gym.registry.values() if spec.namespace == "slam_gym"]
-    for name in [*names, *(f"scenario_{scenario}" for scenario in SCENARIOS)]:
+    for name in [*names, *(f"{size}_{scenario}" for scenario in SCENARIOS for size in ("scenario", "small"))]:
         assert (ROOT / "docs" / "pictures" / f"{name}.png").is_file(), f"python docs/pictures.py draws {name}.png"
 
 

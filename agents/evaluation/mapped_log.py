@@ -1,6 +1,7 @@
 """EKF-SLAM over logs: the run from first to last step, its measures, the files with its results, and the evaluation of
 every associator on every log.
 
+LOG.reference.csv           all positions of the reference during the log
 LOG.reference.tum           poses of the reference, where it has headings
 LOG.ASSOCIATOR.tum          poses of the robot, in the frame of its map
 LOG.ASSOCIATOR.map.csv      features of the map, in the same frame, and aligned rigidly with the reference
@@ -261,8 +262,10 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
         write_tum(folder / f"{stem(log.name)}.reference.tum", log.reference_times[known], log.reference_poses[known])
     write_tum(folder / f"{base}.tum", log.times, mapped.poses)
     compared, features = compare(log, mapped.poses), mapped.features
+    during = (log.reference_times >= log.times[0]) & (log.reference_times <= log.times[-1])
     aligned = transform(compared.alignment, np.ascontiguousarray(features[["x", "y"]].to_numpy()))
     frames = {
+        f"{stem(log.name)}.reference.csv": pd.DataFrame(log.reference_poses[during, :2], columns=["x", "y"]),
         f"{stem(log.name)}.landmarks.csv": pd.DataFrame(log.landmarks, columns=["x", "y"]),
         f"{base}.map.csv": features.assign(aligned_x=aligned[:, 0], aligned_y=aligned[:, 1]),
         f"{base}.errors.csv": compared.frame(),

@@ -157,20 +157,19 @@ def difference(
 def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
     """The names with the best value or with an interval that overlaps the best one's; none if these are all names.
 
-    The ceiling is left out. Numbers without an interval are compared with the digits that are shown.
+    The ceiling is left out, and so are values without an interval.
     """
-    intervals = {name: _as_interval(v, column.digits) for name, v in values.items() if not name.startswith(CEILING)}
-    known = {name: value for name, value in intervals.items() if math.isfinite(value.estimate)}
+    known = {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, Interval) and math.isfinite(value.low) and not name.startswith(CEILING)
+    }
     if not column.better or len(known) < 2:
         return set()
     sign = 1.0 if column.better == "lower" else -1.0
     first = min(known.values(), key=lambda value: sign * value.estimate)
     tied = {name for name, value in known.items() if value.low <= first.high and value.high >= first.low}
     return tied if len(tied) < len(known) else set()
-
-
-def _as_interval(value: Value, digits: int) -> Interval:
-    return value if isinstance(value, Interval) else Interval(*[round(float(value), digits)] * 3)
 
 
 def _excludes_zero(value: Value) -> bool:

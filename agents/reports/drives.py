@@ -52,10 +52,10 @@ PAIRED = "paired over the episodes of all scenarios; negative: the row makes the
 
 
 def drives_page(results: Results, folder: Path) -> Page:
-    """A table for each scenario with its episodes, and differences between all pairs; for drivers curves over time, for
-    associators final maps and lost maps; and the films in `folder`."""
+    """First paired differences, for associators with map errors and lost maps; a table for each scenario with its
+    episodes; for drivers curves over time, for associators final maps; and the films in `folder`."""
     kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
-    drivers, parts = kind == "drivers", list[Part]()
+    drivers, parts, first = kind == "drivers", list[Part](), [] if kind == "drivers" else headline(results.frame)
     for table, (setting, frame) in zip(drive_tables(results), by_setting(results.frame).items()):
         dots = partial(figures.dot_chart, by_name(frame), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
@@ -71,7 +71,8 @@ def drives_page(results: Results, folder: Path) -> Page:
             for name, own in groups.items()
         }
         others, corner = [Column(name, display_name(name)) for name in groups], "map error of … minus that of"
-        parts.append(Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True))
+        against = Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True)
+        (parts if any(table.differences for table in first) else first).insert(0, against)
     if (beside := film_path(folder, BESIDE)).with_suffix(".png").exists():
         parts.append(Film("Side by side", beside, None))
     for agent, own in groups.items():
@@ -79,7 +80,7 @@ def drives_page(results: Results, folder: Path) -> Page:
             parts.append(Film(agent, path, own.loc[own["episode"].idxmin(), "map_error"]))
     title = "Drivers" if drivers else "Associators in the loop"
     subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all"
-    return Page(title, subtitle, parts, "drives.html", [] if drivers else headline(results.frame))
+    return Page(title, subtitle, parts, "drives.html", first)
 
 
 def drive_tables(results: Results) -> list[Table]:
@@ -101,7 +102,8 @@ def drive_tables(results: Results) -> list[Table]:
 
 
 def headline(frame: pd.DataFrame) -> list[Table]:
-    """Two tables: map errors with lost maps, and paired differences to true association with the same relocation."""
+    """Two tables: paired differences to true association with the same relocation, where there are any, and map errors
+    with lost maps."""
     groups, (lost,) = by_name(frame), columns("map_lost")
     means = [Column(setting, setting, 3, "lower") for setting in (*by_setting(frame), "mean")]
     errors: Rows = {}
@@ -123,5 +125,5 @@ def headline(frame: pd.DataFrame) -> list[Table]:
     if gaps:
         caption = f"mean over the same episodes{INTERVALS}"
         title = "Map error above that of true association with the same relocation"
-        tables.append(Table(title, "associator", means, gaps, caption, differences=True))
+        tables.insert(0, Table(title, "associator", means, gaps, caption, differences=True))
     return tables

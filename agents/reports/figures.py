@@ -37,6 +37,8 @@ matplotlib.rcParams.update({
 
 Colours = Mapping[str, str]
 """Name → colour, see `colours`."""
+Frames = Mapping[str, pd.DataFrame]
+"""Name → rows of results."""
 
 
 def colours(names: Sequence[str]) -> Colours:
@@ -61,7 +63,7 @@ def _line(axis: Axes, x: Array, intervals: Iterable[Interval], name: str, colour
 # -- episodes ----------------------------------------------------------------------------------------------------------
 
 
-def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
+def dot_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Figure:
     """Every episode as a dot, with estimate and interval for each name; `groups` are the episodes by name."""
     figure, rng = _figure(1.3 + 0.42 * len(groups)), np.random.default_rng(0)
     axes = figure.subplots(1, len(shown), sharey=True)
@@ -84,7 +86,7 @@ def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colou
     return figure
 
 
-def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
+def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Figure:
     """Numbers against ticks, from the curves of the episodes, with interval bands."""
     figure = _figure(3.9)
     axes = figure.subplots(1, len(shown))
@@ -165,18 +167,15 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
 _REFERENCE, _LANDMARK, _DUPLICATE, _CLUTTER, _UNLABELLED = "#aeb8c2", "#2f6db5", "#b0413e", "#e0a35c", "#8a97a6"
 
 
-def maps(
-    errors: Mapping[str, pd.DataFrame], features: Mapping[str, pd.DataFrame], landmarks: Array, colour: Colours
-) -> Figure:
+def maps(errors: Frames, features: Frames, reference: Array, landmarks: Array, colour: Colours) -> Figure:
     """One panel per associator, with its path over the reference, and its features by kind.
 
-    `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `landmarks` (L, 2) [m]
-    are the true positions, if known.
+    `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `reference` (R, 2) [m]
+    are all positions of the reference, and `landmarks` (L, 2) [m] the true positions, if known.
     """
-    drawn = [own[["x", "y"]] for own in errors.values()]
-    drawn += [own[["reference_x", "reference_y"]] for own in errors.values()]
+    drawn = [reference, *(own[["x", "y"]] for own in errors.values())]
     drawn += [own[["aligned_x", "aligned_y"]] for own in features.values()]
-    low, high = _bounds(np.concatenate(drawn), landmarks)
+    low, high = _bounds(drawn, landmarks)
     shape = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8))  # height / width of a panel
     across = min(len(errors), 3)
     down = math.ceil(len(errors) / across)
@@ -184,7 +183,7 @@ def maps(
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
     handles: dict[str, Any] = {}
     for axis, (name, error) in zip(axes, errors.items()):
-        axis.plot(error["reference_x"], error["reference_y"], color=_REFERENCE, linewidth=2.2, label="reference")
+        axis.plot(*reference.T, color=_REFERENCE, linewidth=2.2, label="reference")
         axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
         _draw_features(axis, features[name], landmarks)
         axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
@@ -192,14 +191,16 @@ def maps(
         handles = dict(zip(*reversed(axis.get_legend_handles_labels()))) | handles
     for axis in axes[len(errors) :]:
         axis.set_visible(False)
+    figure.supxlabel("x [m]", fontsize=10)
+    figure.supylabel("y [m]", fontsize=10)
     figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6)
     return figure
 
 
-def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
-    """Corners of the axes, which contain the landmarks and all but the outermost other points, since a GPS jumps."""
-    low, high = np.quantile(points, [0.003, 0.997], axis=0)
-    low, high = np.vstack([low, landmarks]).min(axis=0), np.vstack([high, landmarks]).max(axis=0)
+def _bounds(drawn: Iterable[Any], landmarks: Array) -> tuple[Array, Array]:
+    """Corners of the axes, which contain the landmarks and all but the outermost of the points, since a GPS jumps."""
+    ends = np.array([np.quantile(points, [0.003, 0.997], axis=0) for points in drawn if len(points)])
+    low, high = np.vstack([ends[:, 0], landmarks]).min(axis=0), np.vstack([ends[:, 1], landmarks]).max(axis=0)
     room = 0.05 * (high - low).max() + 1e-9
     return low - room, high + room
 
@@ -222,7 +223,7 @@ def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None
             axis.plot(chosen["aligned_x"], chosen["aligned_y"], ".", color=colour, markersize=4.5, label=label)
 
 
-def errors_over_time(errors: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
+def errors_over_time(errors: Frames, colour: Colours) -> Figure:
     """Distance to the reference after alignment, over the time of the log."""
     figure = _figure(3.6)
     axis = figure.subplots()

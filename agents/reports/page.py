@@ -10,7 +10,7 @@ import base64
 import importlib
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -52,7 +52,7 @@ Part = Table | Picture | Film | str
 
 @dataclass(frozen=True)
 class Page:
-    """The contents of a report. The terminal shows its tables, the headline last."""
+    """The contents of a report. The terminal shows its tables, and the headline last, in reverse."""
 
     title: str
     subtitle: str
@@ -63,7 +63,7 @@ class Page:
     @property
     def tables(self) -> list[Table]:
         """The tables for the terminal."""
-        return [*(part for part in self.parts if isinstance(part, Table) and not part.detail), *self.headline]
+        return [part for part in (*self.parts, *self.headline[::-1]) if isinstance(part, Table) and not part.detail]
 
 
 def page_of(results: Results, folder: Path) -> Page:
@@ -77,16 +77,18 @@ def page_of(results: Results, folder: Path) -> Page:
         return page
 
 
-def write_report(folder: Path) -> Path:
+def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]] = iter) -> Path:
     """Write report.html to the folder of an evaluation, from the files there, and return its path.
 
-    Raises ValueError where the folder contains no evaluation, or no finished episode.
+    Parts are drawn as they come out of `track`, which may show progress. Raises ValueError where the folder contains no
+    evaluation, or no finished episode.
     """
     results = read_results(folder)
     page = page_of(results, folder)
     with undamaged(f"results.csv or results.json of {folder}"):
         text = _TEMPLATES.get_template("report.html").render(
             page=page,
+            parts=track([*page.headline, *page.parts]),
             complete=results.metadata["complete"],
             split=results.conditions.get("split"),
             provenance=json.dumps(results.metadata, indent=1, ensure_ascii=False),

@@ -71,9 +71,10 @@ def _pictures(log: str, names: pd.Series, folder: Path, colour: Colours) -> list
         files = [folder / f"{stem(log, name)}.{kind}.csv" for kind in ("errors", "map")]
         if all(file.exists() for file in files) and len(error := pd.read_csv(files[0])):
             errors[name], features[name] = error, pd.read_csv(files[1])
-    if not errors:
+    places = [folder / f"{stem(log)}.{of}.csv" for of in ("reference", "landmarks")]
+    if not errors or not all(file.exists() for file in places):
         return []
-    landmarks = pd.read_csv(folder / f"{stem(log)}.landmarks.csv").to_numpy()
-    maps = partial(figures.maps, errors, features, landmarks, colour)
+    reference, landmarks = (pd.read_csv(file).to_numpy() for file in places)
+    maps = partial(figures.maps, errors, features, reference, landmarks, colour)
     over_time = partial(figures.errors_over_time, errors, colour)
     return [Picture(f"Maps over the reference, {log}", maps), Picture(f"Position errors over time, {log}", over_time)]

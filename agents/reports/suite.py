@@ -24,17 +24,17 @@ DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *columns("promis
 
 
 def suite_page(results: Results, folder: Path) -> Page:
-    """The scores, their differences in the ranking, and a plot for each capability."""
+    """The paired differences in the ranking, the scores, and a plot for each capability."""
     size, colour, parts = results.conditions, figures.colours(results.names), list[Part]()
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
     association = results.frame[results.frame["experiment"] != RELOCATION]
     if len(association):
         capability_scores = scores(association)
-        parts.append(capabilities(association, f"Capabilities, {about}"))
-        parts.append(Picture("Score per capability", partial(figures.capability_bars, capability_scores, colour)))
         if gaps := leads(association):
             ahead, caption = _scores_of(association), "paired over worlds; bold: the interval excludes 0"
             parts.append(Table("Ahead of the next", "ahead of the next by", ahead, gaps, caption, True, detail=True))
+        parts.append(capabilities(association, f"Capabilities, {about}"))
+        parts.append(Picture("Score per capability", partial(figures.capability_bars, capability_scores, colour)))
     for name, frame in results.frame.groupby("experiment", sort=False):
         experiment = EXPERIMENTS[str(name)]
         if name == RELOCATION:

@@ -263,6 +263,6 @@ class RelocateEnv(BaseEnv):
         return (
             ("try", str(walk.tries)),
             ("nodes", f"{walk.nodes} of {self.walk_spec.node_limit}"),
-            ("pairings, best", f"{best.pairings}, {walk.needed} needed"),
+            ("paired", f"{best.pairings}, {walk.needed} needed"),
             ("D², best", distance),
         )

@@ -9,17 +9,18 @@ import numpy as np
 
 from slam_gym.association.tracking.walk import Walk
 from slam_gym.geometry import compose, rotate_covariances, transform
+from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
-from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
+from slam_gym.rendering.scene import Scene, draw_scene, mark_size, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.judged import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
 _MARGIN = 60  # [pixels] around the robot and its measurements
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
-_COLUMNS = (0, 64, 156, 274)  # [pixels] of the table
+_COLUMNS = (0, 62, 130, 240)  # [pixels] of the table
 _KEY = (
     *KEY,
     (symbols.PAPER, symbols.PLAN, "legal, 95 % ellipse"),
@@ -73,17 +74,17 @@ def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers
 
 def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
     """Draw the measurement to decide, undecided ones, and the gates of the candidates, whose centres are returned."""
-    tree, i = walk.tree, walk.measurement
+    tree, i, size = walk.tree, walk.measurement, mark_size(canvas)
     rows = walk.rows
     centres = transform(pose, tree.prediction.positions[rows])
     spread = tree.prediction.covariances[rows] + tree.scan.covariances[i]
     later = transform(pose, tree.scan.points[walk.candidates.measurements[walk.level + 1 :]])
-    symbols.undecided(canvas, later)
+    symbols.undecided(canvas, later, size)
     canvas.ellipses(centres, rotate_covariances(pose[2], spread), None, symbols.PLAN, 1.6)
     here = transform(pose, tree.scan.points[i : i + 1])[0]
     for centre in centres:
         canvas.dashes(np.stack([here, centre]), symbols.PLAN, 1.6, 6.0)
-    symbols.choice(canvas, here)
+    symbols.choice(canvas, here, size)
     return centres
 
 
@@ -114,7 +115,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
         last - first,
         legal=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
         chosen=chosen if chosen is None else STAR if chosen == UNPAIRED else chosen - first,
-        colour=symbols.LINE if chosen is None else symbols.DECISIONS[int(codes[i])],
+        decision=Decision.UNJUDGED if chosen is None else int(codes[i]),
         right=right,
     )
 

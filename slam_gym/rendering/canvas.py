@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import affine_transform, gaussian_filter
 
-from slam_gym.geometry import transform
+from slam_gym.geometry import observe
+from slam_gym.rendering.walls import WIDTH, wall_lines
 from slam_gym.types import Array
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -22,13 +24,16 @@ try:
 except ImportError as error:
     raise ImportError('drawing needs pygame-ce: pip install "slam_gym[render]"') from error
 
-__all__ = ["Canvas", "Colour", "Window", "pixels", "pygame", "text"]
+__all__ = ["TEXT", "Canvas", "Colour", "Window", "pixels", "pygame", "text"]
 
 Colour = tuple[int, int, int]
 
 SUPERSAMPLING = 2
+TEXT = 14  # [pixels] size of most text: at least 12 where a page shows a picture of 960 pixels on 830
 _BROAD = 1.5  # [pixels] narrower lines are antialiased one by one, broader ones only by supersampling
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0, 2 * np.pi, 37))])[:, :-1]  # (2, 36)
+_FREE_SHARE = np.array([0.0, 1.0, 0.5])  # of unknown, free and wall cells: free space ends in the middle of walls
+_SMOOTHING = 0.7  # [cells] standard deviation of the filter of free space
 _SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
 
 
@@ -121,21 +126,23 @@ class Canvas:
         outlines = np.swapaxes(vectors @ (radii[:, :, None] * _CIRCLE), 1, 2)
         self.polygons(points[:, None] + outlines, fill, line, width)
 
-    def cells(self, codes: NDArray[np.uint8], colours: list[Colour], pose: Array, resolution: float) -> None:
-        """Draw a grid of cells (h, w), row 0 lowest, with cells of side `resolution` [m].
+    def cells(self, codes: NDArray[np.uint8], free: Colour, wall: Colour, pose: Array, resolution: float) -> None:
+        """Draw a grid of unknown (0), free (1) and wall (2) cells (h, w), row 0 lowest, of side `resolution` [m].
 
-        `pose` (3,) is the pose of the grid's lower left corner, `colours[code]` the colour of a cell.
+        `pose` (3,) is the pose of the grid's lower left corner. The grid may be turned against the pixels, where the
+        sides of cells would look like saw teeth: free space has a smooth border instead, and walls are lines.
         """
-        border = np.pad(np.diff(codes.astype(np.int16), axis=1) != 0, ((0, 0), (1, 1)), constant_values=True)
-        rows, edges = np.nonzero(border)  # each row is cut into runs of one colour
-        starts, ends = edges[:-1], edges[1:]
-        runs = np.flatnonzero(starts < ends)
-        low, left, right = rows[runs], starts[runs], ends[runs]
-        corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=1).reshape(-1, 2)
-        shapes = transform(pose, resolution * corners).reshape(-1, 4, 2)
-        codes_of_runs = codes[low, left]
-        for code, colour in enumerate(colours):
-            self.polygons(shapes[codes_of_runs == code], colour)
+        top = self.size[1] - 0.5
+        corner = self._low + np.array([[0.5, top], [1.5, top], [0.5, top - 1.0]]) / self.scale  # three pixels [m]
+        first, right, below = observe(pose, corner)[:, ::-1] / resolution - 0.5  # their row and column in the grid
+        share = gaussian_filter(_FREE_SHARE[codes], _SMOOTHING)
+        is_free = affine_transform(share, np.stack([right - first, below - first], axis=1), first, self.size, order=1)
+        is_free = (is_free > 0.5).repeat(SUPERSAMPLING, 0).repeat(SUPERSAMPLING, 1)
+        pygame.surfarray.pixels2d(self.surface)[is_free] = self.surface.map_rgb(free)
+
+        lines, width = wall_lines(codes, pose, resolution), WIDTH * resolution * self.scale
+        self.segments(lines, wall, width)
+        self.discs(lines[:, :2], 0.5 * width, wall)
 
 
 @functools.lru_cache(maxsize=16)

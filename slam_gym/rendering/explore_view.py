@@ -10,7 +10,7 @@ import numpy as np
 
 from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
 from slam_gym.rendering.panels import Box, Figures, figures
 from slam_gym.rendering.scene import Scene, draw_scene, legend, paired_positions, scene_of_episode, shown_in
 from slam_gym.simulation.episode import Episode
@@ -18,8 +18,8 @@ from slam_gym.types import Array
 
 SIZE = (960, 720)  # [pixels]
 _MARGIN = 16  # [pixels] around the plan, and within the panel
-_BESIDE = 226  # [pixels] width of a panel beside the map
-_TITLE, _ROW = 48, 20  # [pixels] height of the title with what is around it, and of a row of figures
+_BESIDE = 246  # [pixels] width of a panel beside the map
+_TITLE, _ROW = 52, 22  # [pixels] height of the title with what is around it, and of a row of figures
 
 
 class Layout(NamedTuple):
@@ -42,8 +42,7 @@ def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
         decisions=episode.identities.decisions,
         paired_positions=paired_positions(episode, scene.landmarks),
     )
-    title = f"{episode.scenario.name}, tick {episode.ticks} of {episode.scenario.budget}"
-    return draw_floor(scene, episode.site.plan.bounds, title, _figures(episode))
+    return draw_floor(scene, episode.site.plan.bounds, episode.scenario.name, _figures(episode))
 
 
 def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()) -> Any:
@@ -96,8 +95,9 @@ def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
     else:
         room -= layout.legend.get_width() + 8
         picture.blit(layout.legend, (width - layout.legend.get_width(), y + 1))
-    sizes = (text(title, size, symbols.INK, bold=True) for size in range(15, 7, -1))
-    picture.blit(next((line for line in sizes if line.get_width() <= room), text(title, 8, symbols.INK)), (x, y))
+    while text(title, 18, symbols.INK, bold=True).get_width() > room:
+        title = f"{title[:-2]}…"
+    picture.blit(text(title, 18, symbols.INK, bold=True), (x, y))
     figures(picture, shown, (x, y + 30), room, 1 if layout.beside else 2)
 
 
@@ -108,7 +108,7 @@ def _scale_bar(picture: Any, layout: Layout) -> None:
     metres = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
     length = round(metres * layout.scale)
     right, y = layout.map_size[0] - _MARGIN, layout.map_size[1] - 13
-    label = text(f"{metres:g} m", 12, symbols.INK)
+    label = text(f"{metres:g} m", TEXT, symbols.INK)
     pygame.draw.rect(picture, symbols.INK, (right - length, y, length, 2))
     for x in (right - length, right - 2):
         pygame.draw.rect(picture, symbols.INK, (x, y - 4, 2, 6))
@@ -119,10 +119,11 @@ def _figures(episode: Episode) -> Figures:
     tally, slam_map = episode.identities.total, episode.slam.map
     error = float(np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]))
     return (
+        ("tick", f"{episode.ticks} of {episode.scenario.budget}"),
         ("map error", f"{episode.map_error():.2f}"),
         ("explored", f"{100.0 * episode.coverage():.0f} %"),
-        ("features mapped", f"{int((~slam_map.provisional).sum())} of {len(episode.targets)}"),
-        ("pairings right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
+        ("features", f"{int((~slam_map.provisional).sum())} of {len(episode.targets)}"),
+        ("paired right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
         ("pose error", f"{100.0 * error:.0f} cm" if error < 1.0 else f"{error:.1f} m"),
         *_whereabouts(episode),
     )
@@ -133,11 +134,11 @@ def _whereabouts(episode: Episode) -> Figures:
     kidnapping = episode.kidnapping
     if episode.scenario.kidnapping is None and episode.slam.tracker is None:
         return ()
-    rows = () if kidnapping.happened is None else (("carried away", f"tick {kidnapping.happened}"),)
+    rows = () if kidnapping.happened is None else (("carried away", f"at {kidnapping.happened}"),)
     if episode.slam.lost:
         return (*rows, ("robot", "is lost"))
     if episode.slam.doubted:
         return (*rows, ("robot", "in doubt"))
     if kidnapping.recovered is not None:
-        return (*rows, ("found back", f"tick {kidnapping.recovered}"))
+        return (*rows, ("found back", f"at {kidnapping.recovered}"))
     return (*rows, ("robot", "tracks"))

@@ -11,27 +11,27 @@ import numpy as np
 
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, Colour, pygame, text
 from slam_gym.types import Array
 
 Figures = tuple[tuple[str, str], ...]
 """Names and values."""
 Point = tuple[float, float]
 Box = tuple[int, int, int, int]  # left, top, width, height [pixels]
-KeyEntry = tuple[Colour | None, Colour, str]  # fill and line of a dot, and its meaning
+KeyEntry = tuple[Decision | Colour | None, Colour, str]  # a decision, or fill and line of a dot; its meaning
 
-ROW = 22  # [pixels] height of a row of a table
-_FIGURE, _GAP = 20, 22  # [pixels] between two rows of figures, and between two columns
-_KEY_ROW, _KEY_COLUMNS = 19, 3
-_BADGE, _BADGE_DISTANCE = 9, 19  # [pixels] radius of a badge; least distance between two centres
+ROW = 24  # [pixels] height of a row of a table
+_FIGURE, _GAP = 22, 16  # [pixels] between two rows of figures, and between two columns
+_KEY_ROW, _KEY_COLUMNS = 22, 2
+_BADGE, _BADGE_DISTANCE = 10, 21  # [pixels] radius of a badge; least distance between two centres
 _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
-SIZE, PANEL = (1140, 720), 420  # [pixels] of a picture with a tree; width of the panel on its right
+SIZE, PANEL = (960, 720), 400  # [pixels] of a picture with a tree; width of the panel on its right
 MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] of the map on its left
 KEY: tuple[KeyEntry, ...] = (  # common entries of both views
-    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
-    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
-    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
+    (Decision.RIGHT, symbols.PAPER, "paired, right"),
+    (Decision.WRONG, symbols.PAPER, "paired, wrong"),
+    (Decision.DISCARDED, symbols.PAPER, "not paired"),
     (symbols.PAPER, symbols.INK, "not decided yet"),
     (symbols.CHOICE, symbols.INK, "to decide now"),
 )
@@ -49,13 +49,13 @@ def figures(picture: Any, shown: Figures, corner: tuple[int, int], width: int, c
     rows = math.ceil(len(shown) / columns)
     for k, (name, value) in enumerate(shown):
         x, y = corner[0] + (k // rows) * (width + _GAP) // columns, corner[1] + (k % rows) * _FIGURE
-        label = text(value, 12, symbols.INK, bold=True)
-        picture.blit(text(name, 12, symbols.MUTED), (x, y))
+        label = text(value, TEXT, symbols.INK, bold=True)
+        picture.blit(text(name, TEXT, symbols.MUTED), (x, y))
         picture.blit(label, (x + (width + _GAP) // columns - _GAP - label.get_width(), y))
 
 
 def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
-    """Draw the key to the dots, three to a row, at the bottom of a box; returns the y [pixels] of the line above it."""
+    """Draw the key to the marks, two to a row, at the bottom of a box; returns the y [pixels] of the line above it."""
     left, top, width, height = box
     top += height - 15 - math.ceil(len(entries) / _KEY_COLUMNS) * _KEY_ROW
     pygame.draw.line(picture, symbols.LINE, (left, top), (left + width, top))
@@ -63,9 +63,12 @@ def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
         x = left + (k % _KEY_COLUMNS) * (width + 12) // _KEY_COLUMNS
         y = top + 10 + (k // _KEY_COLUMNS) * _KEY_ROW
         canvas = Canvas((16, 16), (0.0, 0.0), 1.0, symbols.PAPER)
-        canvas.discs(np.array([[8.0, 8.0]]), 5.0, fill, line, 1.4)
+        if isinstance(fill, Decision):
+            symbols.marks(canvas, np.array([[8.0, 8.0]]), np.array([fill]), 1.4)
+        else:
+            canvas.discs(np.array([[8.0, 8.0]]), 5.0, fill, line, 1.4)
         picture.blit(canvas.picture(), (x - 3, y))
-        picture.blit(text(words, 11, symbols.MUTED), (x + 17, y + 1))
+        picture.blit(text(words, TEXT, symbols.MUTED), (x + 17, y))
     return top
 
 
@@ -82,16 +85,16 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
     left, top, width, _ = box
     pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
     for k, (offset, heading) in enumerate(columns):
-        picture.blit(text(heading, 12, symbols.MUTED if k else symbols.INK, bold=k == 0), (left + offset, top))
+        picture.blit(text(heading, TEXT, symbols.MUTED if k else symbols.INK, bold=k == 0), (left + offset, top))
     for row, choice in enumerate(choices, start=1):
         y = top + row * ROW
         _action(picture, (left + 10, y + 8), choice)
         for (offset, _), cell in zip(columns[1:], choice.cells):
             words, fraction = (cell, None) if isinstance(cell, str) else cell
-            picture.blit(text(words, 12, symbols.INK), (left + offset, y))
+            picture.blit(text(words, TEXT, symbols.INK), (left + offset, y))
             if fraction is not None:
-                _bar(picture, (left + offset + 36, y + 5), fraction)
-    picture.blit(text(note, 12, symbols.MUTED), (left + columns[1][0], top + (len(choices) + 1) * ROW))
+                _bar(picture, (left + offset + 38, y + 6), fraction)
+    picture.blit(text(note, TEXT, symbols.MUTED), (left + columns[1][0], top + (len(choices) + 1) * ROW))
 
 
 def badges(picture: Any, points: Sequence[Point]) -> None:
@@ -109,13 +112,13 @@ def badges(picture: Any, points: Sequence[Point]) -> None:
 def badge(picture: Any, centre: Point, words: str) -> None:
     """Draw the name of an action on a disc."""
     pygame.draw.aacircle(picture, symbols.PLAN, centre, _BADGE)
-    label = text(words, 12, symbols.PAPER, bold=True)
+    label = text(words, TEXT, symbols.PAPER, bold=True)
     picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2)))
 
 
 def star(picture: Any, centre: Point, colour: Colour) -> None:
     """Draw `*` in the middle of a node; it is moved down, since it stands high in its line of text."""
-    label = text("*", 15, colour, bold=True)
+    label = text("*", 17, colour, bold=True)
     picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2 + 3)))
 
 
@@ -141,7 +144,7 @@ class Level(NamedTuple):
     branches: int  # besides `*`
     legal: frozenset[int] = frozenset()  # at the current level
     chosen: int | None = None  # None: not decided
-    colour: Colour = symbols.LINE  # of the chosen branch
+    decision: int = Decision.UNJUDGED  # the judgement of the chosen branch
     right: int | None = None  # the true branch; None: there is none, or it is unknown
 
 
@@ -171,9 +174,9 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
     left, top, width, height = box
     pygame.draw.line(picture, symbols.LINE, (left, top), (left, top + height))
     x, y, room = left + _MARGIN, top + 13, width - 2 * _MARGIN
-    picture.blit(text("Interpretation tree", 15, symbols.INK, bold=True), (x, y))
-    figures(picture, shown.figures, (x, y + 27), room, 2)
-    tree_top = y + 44 + math.ceil(len(shown.figures) / 2) * 20
+    picture.blit(text("Interpretation tree", 18, symbols.INK, bold=True), (x, y))
+    figures(picture, shown.figures, (x, y + 30), room, 2)
+    tree_top = y + 48 + math.ceil(len(shown.figures) / 2) * _FIGURE
     bottom = key(picture, (x, top, room, height), shown.key)
     if shown.remarks:
         tree_bottom = bottom - (len(shown.remarks) + 1) * ROW
@@ -198,7 +201,7 @@ def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[
     left, top = corner
     pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
     for row, line in enumerate(lines):
-        picture.blit(text(line, 12, symbols.INK, bold=row == 0), (left, top + row * ROW))
+        picture.blit(text(line, TEXT, symbols.INK, bold=row == 0), (left, top + row * ROW))
 
 
 def draw_levels(picture: Any, box: Box, levels: Sequence[Level], current: int) -> None:
@@ -218,7 +221,7 @@ def draw_levels(picture: Any, box: Box, levels: Sequence[Level], current: int) -
         _labels(picture, view, levels[k], k, current)
     for count, y, words in ((view.first, top - 16, "earlier"), (len(levels) - view.last, top + height, "more")):
         if count:
-            label = text(f"{count} {words}", 11, symbols.MUTED)
+            label = text(f"{count} {words}", TEXT, symbols.MUTED)
             picture.blit(label, (left + width - label.get_width(), y))
 
 
@@ -252,7 +255,7 @@ def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, current
     before, level = levels[k - 1].chosen, levels[k]
     start = view.position(k - 1, STAR if before is None else before)
     if level.chosen is not None:
-        canvas.segments(np.array([[*start, *view.position(k, level.chosen)]]), level.colour, 3.0)
+        symbols.decided_line(canvas, np.array([start, view.position(k, level.chosen)]), level.decision, 3.0)
     elif k == current:
         for branch in _branches(level):
             colour = symbols.PLAN if branch == STAR or branch in level.legal else symbols.LINE
@@ -263,7 +266,7 @@ def _nodes(canvas: Canvas, view: _View, level: Level, k: int, current: int) -> N
     for branch in _branches(level):
         centre: Array = np.array([view.position(k, branch)])
         if branch == level.chosen:
-            canvas.discs(centre, 6.0, level.colour, symbols.PAPER, 1.0)
+            symbols.marks(canvas, centre, np.array([level.decision]), 1.9)
         elif k == current and (branch == STAR or branch in level.legal):
             canvas.discs(centre, 6.0, symbols.PAPER, symbols.PLAN, 1.6)
         else:
@@ -275,9 +278,9 @@ def _nodes(canvas: Canvas, view: _View, level: Level, k: int, current: int) -> N
 def _labels(picture: Any, view: _View, level: Level, k: int, current: int) -> None:
     """Write the name of a level, its `*`, and the number of branches that are not drawn."""
     x, y = view.pixels(k, STAR)
-    name = text(level.name, 12, symbols.INK if k == current else symbols.MUTED, bold=k == current)
+    name = text(level.name, TEXT, symbols.INK if k == current else symbols.MUTED, bold=k == current)
     picture.blit(name, (view.left + 8, round(y - name.get_height() / 2)))
     star(picture, (x, y), symbols.PAPER if level.chosen == STAR else symbols.MUTED)
     if level.chosen is None and level.branches > _BRANCHES:
-        more = text(f"+ {level.branches - _BRANCHES}", 11, symbols.MUTED)
+        more = text(f"+ {level.branches - _BRANCHES}", TEXT, symbols.MUTED)
         picture.blit(more, (round(view.pixels(k, _BRANCHES - 1)[0] + 14), round(y - more.get_height() / 2)))

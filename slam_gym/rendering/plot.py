@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import gaussian_filter
 
 from slam_gym.association.compatibility import chi2_gate, individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tree import Node, Tree, branches, extend, root
-from slam_gym.geometry import transform
+from slam_gym.geometry import compose, transform
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.explored_grid import WALL
+from slam_gym.rendering.walls import wall_lines
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Scan
 
 if TYPE_CHECKING:
@@ -26,9 +25,8 @@ if TYPE_CHECKING:
 
     from slam_gym.simulation.episode import Episode
 
-INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#c3ccd6", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
+INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#8faad0", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
 Path = tuple[int, ...]  # the rows of a prediction that lead from the root of a tree to a node
-_EDGE = 0.4  # value of the smoothed grid at the edge of a wall
 _MOST_BRANCHES = 400  # in a tree that is still legible
 
 
@@ -63,7 +61,7 @@ def plot_scan(
     """Plot a scan in R: measurements as crosses, predicted features as circles with the gates of their individually
     compatible pairings, and the pairings of a hypothesis as arrows from feature to measurement.
 
-    With the `right` hypothesis, right pairings are green, and wrong pairings red and dashed.
+    With the `right` hypothesis, right pairings are green, and wrong pairings red and dashed, with a bold cross.
     """
     ax = _axes(ax)
     candidates = individual(scan, prediction)
@@ -79,6 +77,8 @@ def plot_scan(
             arrow: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.6, "shrinkA": 2.0, "shrinkB": 2.0}
             arrow |= {"color": RED if wrong else BLUE if right is None else GREEN, "ls": "--" if wrong else "-"}
             arrow |= {"connectionstyle": "arc3,rad=-0.35", "mutation_scale": 8.0}
+            if wrong:
+                ax.plot(*scan.points[i], "x", color=RED, ms=8, mew=2.8, zorder=4)
             ax.annotate("", scan.points[i], place[int(hypothesis.features[i])], arrowprops=arrow)
     return ax
 
@@ -160,21 +160,15 @@ def plot_error(poses: ArrayLike, truth: ArrayLike, ax: Axes | None = None, **lin
 
 def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = False) -> Axes:
     """Plot an exploration in W: true walls in black, true features as grey dots, and the true path in grey; explored
-    walls in light grey, mapped features in blue, and the estimated path in red.
+    walls in light blue, mapped features in blue, and the estimated path in red.
 
     With `errors`, red lines lead from true features to their positions in the map.
     """
+    from matplotlib.collections import LineCollection
+
     ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
-    walls = grid.cells == WALL
-    if walls.any():
-        rows, columns = (
-            np.arange(max(k.min() - 2, 0), min(k.max() + 3, n)) for k, n in zip(walls.nonzero(), walls.shape)
-        )
-        cells = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
-        centres = transform(episode.base, grid.origin + grid.resolution * (cells + 0.5))
-        x, y = centres.T.reshape(2, len(rows), len(columns))
-        smooth = gaussian_filter(walls[np.ix_(rows, columns)].astype(np.float64), 0.7)
-        ax.contourf(x, y, smooth, levels=[_EDGE, 2.0], colors=[LIGHT])
+    lines = wall_lines(grid.cells, compose(episode.base, np.array([*grid.origin, 0.0])), grid.resolution)
+    ax.add_collection(LineCollection([*lines.reshape(-1, 2, 2)], colors=LIGHT, linewidths=2.4, capstyle="round"))
     ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
     ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
     ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)

@@ -11,15 +11,15 @@ from slam_gym.association.relocation.walk import RelocationWalk
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-_INSET, _HEADING = 190, 34  # [pixels] side of the scan, height of the line above the map
+_INSET, _HEADING = 260, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
-_COLUMNS = (0, 64, 134, 268)  # [pixels] of the table
+_COLUMNS = (0, 62, 130, 262)  # [pixels] of the table
 _KEY = (
     *KEY,
     (symbols.PAPER, symbols.PLAN, "on offer"),
@@ -50,10 +50,8 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
     scale = float(min(room[0] / (x1 - x0), room[1] / (y1 - y0)))
     low = 0.5 * (x0 + x1) - 0.5 * MAP[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
     canvas = Canvas(MAP, (float(low[0]), float(low[1])), scale, symbols.PAPER)
-    landmarks, provisional = (
-        transform(mapped.base, mapped.landmarks.positions),
-        np.zeros(len(mapped.landmarks), np.bool_),
-    )
+    landmarks = transform(mapped.base, mapped.landmarks.positions)
+    provisional = np.zeros(len(landmarks), np.bool_)
     canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)
     spread = rotate_covariances(mapped.base[2], mapped.landmarks.covariances)
     symbols.uncertainties(canvas, landmarks, spread, provisional)
@@ -68,7 +66,7 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
     picture.blit(canvas.picture(), (0, 0))
     badges(picture, canvas.places(landmarks[walk.shown]))
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
-    picture.blit(text(where, 13, symbols.MUTED), (14, 10))
+    picture.blit(text(where, TEXT, symbols.MUTED), (14, 10))
 
 
 def _draw_hypothesis(
@@ -78,8 +76,7 @@ def _draw_hypothesis(
     features = walk.node.hypothesis
     paired = features != UNPAIRED
     if paired.sum() < 2:
-        for code in (Decision.RIGHT, Decision.WRONG):
-            canvas.discs(landmarks[features[codes == code]], 4.2, symbols.DECISIONS[code], symbols.PAPER, 0.8)
+        symbols.marks(canvas, landmarks[features[paired]], codes[paired], 1.3)
         return
     located = locate(walk.scan, walk.landmarks, features)
     if not np.isfinite(located.pose).all():
@@ -102,14 +99,13 @@ def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, code
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
     canvas.segments(np.concatenate([np.zeros_like(points), points], axis=1), symbols.LINE, 0.8)
     symbols.undecided(canvas, points[codes == UNDECIDED])
-    for code, colour in symbols.DECISIONS.items():
-        canvas.discs(points[codes == code], 3.4, colour, symbols.PAPER, 0.8)
+    symbols.marks(canvas, points, codes)
     symbols.robot_estimate(canvas, np.array([0.0, 0.0, 0.5 * np.pi]), 0.0)
     if walk.measurement is not None:
         symbols.choice(canvas, points[walk.measurement])
     picture.blit(canvas.picture(), corner)
     pygame.draw.rect(picture, symbols.LINE, (*corner, _INSET, _INSET), 1)
-    picture.blit(text("the scan", 12, symbols.MUTED), (corner[0] + 8, corner[1] + 6))
+    picture.blit(text("the scan", TEXT, symbols.MUTED), (corner[0] + 8, corner[1] + 6))
 
 
 def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figures) -> TreePanel:
@@ -117,7 +113,7 @@ def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figu
     levels = [_level(walk, right, codes, k) for k in range(len(walk.order))]
     if walk.offer is None:
         return TreePanel(figures, levels, walk.level, _KEY, remarks=_remarks(walk))
-    headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst distance D²")
+    headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst D²")
     note = f"and {walk.hidden} more that K = {walk.spec.star} hides" if walk.hidden else ""
     columns = tuple(zip(_COLUMNS, headings if walk.node.pairings else headings[:3]))
     return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(walk, right), note)
@@ -129,7 +125,7 @@ def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Le
     if k < walk.level:
         branches, action = walk.offered[k]
         chosen = STAR if action == star else action
-        return Level(f"z{i}", branches, chosen=chosen, colour=symbols.DECISIONS[int(codes[i])])
+        return Level(f"z{i}", branches, chosen=chosen, decision=int(codes[i]))
     alive = int(walk.node.alive[i].sum())
     if k > walk.level or walk.at_leaf:
         return Level(f"z{i}", alive)

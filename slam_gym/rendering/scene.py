@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from slam_gym.geometry import compose, observe, relative, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
 from slam_gym.simulation.association_runs import LoggedRun
 from slam_gym.simulation.episode import Episode, turned
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 _TRAIL = 400  # points of a trail that are drawn
 _LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
-_CELLS = [symbols.UNKNOWN_CELL, symbols.FREE_CELL, symbols.WALL_CELL]
 
 
 class Grid(NamedTuple):
@@ -64,14 +63,19 @@ class Scene:
     grid: Grid | None = None
 
 
+def mark_size(canvas: Canvas) -> float:
+    """The size of marks, which grow with the scale, so that they do not overlap where it is small."""
+    return min(1.8, max(0.6, canvas.scale / 36.0))
+
+
 def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
     """Draw, in this order, explored cells, uncertainties, the true world, the map, decisions and the robot.
 
-    `size` scales the marks; by default, marks are smaller on a small scale, so that they do not overlap.
+    `size` scales the marks (default: see `mark_size`).
     """
-    size = min(1.0, max(0.4, canvas.scale / 18.0)) if size is None else size
+    size = mark_size(canvas) if size is None else size
     if scene.grid is not None:
-        canvas.cells(scene.grid.cells, _CELLS, scene.grid.corner, scene.grid.resolution)
+        canvas.cells(scene.grid.cells, symbols.FREE_CELL, symbols.WALL_CELL, *scene.grid[1:])
     symbols.uncertainties(canvas, scene.landmarks, scene.landmark_covariances, scene.provisional)
     symbols.covisibility(canvas, scene.landmarks[scene.covisibility])
     symbols.furniture(canvas, scene.furniture)
@@ -156,7 +160,7 @@ def _trail(poses: list[Array]) -> Array:
 
 # -- legend ----------------------------------------------------------------------------------------------------------
 
-_ROW, _COLUMN = 20, 186  # [pixels] height of an entry, width of a group
+_ROW, _COLUMN = 22, 202  # [pixels] height of an entry, width of a group
 _SYMBOL = (40, 16)  # [pixels] size of a symbol
 _Paint = Callable[[Canvas], None]  # draws on a canvas of that size with one metre per pixel
 
@@ -245,11 +249,11 @@ def legend(shown: frozenset[str], stacked: bool) -> Any:
     surface.fill(symbols.PAPER)
     x, y = 0, 0
     for (name, entries), height in zip(groups.items(), heights):
-        surface.blit(text(name, 12, symbols.INK, bold=True), (x, y))
+        surface.blit(text(name, TEXT, symbols.INK, bold=True), (x, y))
         for row, entry in enumerate(entries, start=1):
             canvas = Canvas(_SYMBOL, (0.0, 0.0), 1.0, symbols.PAPER)
             entry.paint(canvas)
             surface.blit(canvas.picture(), (x, y + row * _ROW))
-            surface.blit(text(entry.words, 12, symbols.MUTED), (x + _SYMBOL[0] + 8, y + row * _ROW + 1))
+            surface.blit(text(entry.words, TEXT, symbols.MUTED), (x + _SYMBOL[0] + 8, y + row * _ROW))
         x, y = (x, y + height + 8) if stacked else (x + _COLUMN, y)
     return surface

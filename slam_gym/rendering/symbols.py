@@ -17,7 +17,7 @@ MUTED: Colour = (112, 121, 133)
 LINE: Colour = (205, 210, 217)
 UNKNOWN_CELL: Colour = (229, 232, 237)
 FREE_CELL: Colour = (255, 255, 255)
-WALL_CELL: Colour = (208, 214, 223)
+WALL_CELL: Colour = (143, 170, 208)
 WALL: Colour = (62, 68, 79)
 FURNITURE: tuple[Colour, Colour] = ((243, 236, 224), (193, 177, 150))  # fill, line
 PERSON: tuple[Colour, Colour] = ((251, 222, 199), (216, 142, 91))
@@ -46,6 +46,8 @@ _DIAMOND = 1.3 * np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 _TURN = np.linspace(0.0, 2.0 * math.pi, 25)[:-1]
 _CIRCLE = 1.15 * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _OUTLINES = (_SQUARE, _DIAMOND, _CIRCLE)  # of corners, door jambs, pillars
+_ARM = np.array([[0.0, 0.4], [0.6, 1.0], [1.0, 0.6]])
+_CROSS = np.concatenate([_ARM, _ARM[:, ::-1] * [1, -1], -_ARM, _ARM[:, ::-1] * [-1, 1]])
 
 
 def true_features(canvas: Canvas, positions: Array, kinds: IntArray, radius: float) -> None:
@@ -80,24 +82,39 @@ def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes:
     """
     for code, colour in DECISIONS.items():
         chosen = codes == code
-        if not chosen.any():
-            continue
         rays = np.concatenate([np.broadcast_to(robot, (chosen.sum(), 2)), points[chosen]], axis=1)
         canvas.segments(rays, _mixed(colour, 0.6), 0.9)
+    known = np.isfinite(paired).all(axis=1)
+    for code, point, feature in zip(codes[known].tolist(), points[known], paired[known]):
+        decided_line(canvas, np.stack([point, feature]), code, 2.4 * size)
+    marks(canvas, points, codes, size)
+
+
+def decided_line(canvas: Canvas, ends: Array, code: int, width: float) -> None:
+    """Draw a line (2, 2) in the colour of a decision; wrong ones are dashed."""
+    if code == Decision.WRONG:
+        canvas.dashes(ends, DECISIONS[code], width, 3.0 * width)
+    else:
+        canvas.segments(ends.reshape(1, 4), DECISIONS[code], width)
+
+
+def marks(canvas: Canvas, points: Array, codes: IntArray, size: float = 1.0) -> None:
+    """Draw measurements (m, 2) in the colours of the decisions on them (m,): as crosses if wrong, else as dots."""
     for code, colour in DECISIONS.items():
-        pairs = (codes == code) & np.isfinite(paired).all(axis=1)
-        canvas.segments(np.concatenate([points[pairs], paired[pairs]], axis=1), colour, 2.4 * size)
-        canvas.discs(points[codes == code], 3.2 * size, colour, PAPER, 0.8)
+        if code == Decision.WRONG:
+            canvas.markers(points[codes == code], 5.0 * size * _CROSS, colour, PAPER, 0.8)
+        else:
+            canvas.discs(points[codes == code], 3.2 * size, colour, PAPER, 0.8)
 
 
-def undecided(canvas: Canvas, points: Array) -> None:
+def undecided(canvas: Canvas, points: Array, size: float = 1.0) -> None:
     """Draw undecided measurements (m, 2)."""
-    canvas.discs(points, 3.4, PAPER, INK, 1.2)
+    canvas.discs(points, 3.4 * size, PAPER, INK, 1.2)
 
 
-def choice(canvas: Canvas, point: Array) -> None:
+def choice(canvas: Canvas, point: Array, size: float = 1.0) -> None:
     """Draw the measurement (2,) that is to be decided now."""
-    canvas.discs(point[None], 5.0, CHOICE, INK, 1.4)
+    canvas.discs(point[None], 5.0 * size, CHOICE, INK, 1.4)
 
 
 def robot_body(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6.0) -> None:

@@ -61,9 +61,9 @@ def _drifting(name: str, generator: Any, level: int, budget: int = 450, **change
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
-        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),
-        Scenario("office", OfficeGenerator(), budget=800),
-        Scenario("aliased", AliasedGenerator(), budget=800),
+        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),  # four rooms, for a first try and for tests
+        Scenario("office", OfficeGenerator(), budget=800),  # good odometry: associators differ little, drivers much
+        Scenario("aliased", AliasedGenerator(), budget=800),  # identical rooms, which good odometry tells apart
         Scenario(
             "hall",  # long views, and odometry with notable drift
             HallGenerator(),
@@ -71,7 +71,7 @@ SCENARIOS: dict[str, Scenario] = {
             sensor=_HALL_SENSOR,
             odometry=OdometrySpec(forward=0.05, turn_per_radian=0.05, turn_per_metre=0.05),
         ),
-        Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),
+        Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),  # six people hide features, or pass for some
         Scenario(
             "kidnapped",  # carried at half time to a place where it has been
             OfficeGenerator(),

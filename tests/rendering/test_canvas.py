@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from slam_gym.geometry import transform
+from slam_gym.geometry import observe, transform
 from slam_gym.rendering.canvas import SUPERSAMPLING, Canvas, Window, pixels, pygame
 
 pytest.importorskip("pygame")
@@ -31,18 +31,21 @@ def test_ellipses_hold_95_percent() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
-def test_cells_lie_where_their_corner_puts_them(heading) -> None:
-    corner, codes = np.array([5.0, 4.0, heading]), np.random.default_rng(1).integers(0, 3, (4, 6)).astype(np.uint8)
-    colours = [(10, 0, 0), (20, 0, 0), (30, 0, 0)]
-    canvas = Canvas((400, 400), (0.0, 0.0), 40.0, WHITE)
-    canvas.cells(codes, colours, corner, 0.5)
+def test_cells_lie_where_their_corner_puts_them_and_walls_have_no_teeth(heading) -> None:
+    corner, codes = np.array([5.0, 4.0, heading]), np.ones((12, 18), np.uint8)
+    codes[:, 14:] = 0
+    x = np.linspace(0.0, 13.9, 500)
+    codes[(3.0 + 0.4 * x).astype(int), x.astype(int)] = 2  # a straight wall, in cells
+    canvas, free, wall = Canvas((400, 400), (0.0, 0.0), 40.0, WHITE), (20, 0, 0), (30, 0, 0)
+    canvas.cells(codes, free, wall, corner, 0.2)
     picture = pixels(canvas.picture())
-    for row in range(4):
-        for column in range(6):
-            x, y = transform(corner, 0.5 * (np.array([[column, row]]) + 0.5))[0] * 40.0
-            assert tuple(picture[int(400 - y), int(x)]) == colours[codes[row, column]]
-    x, y = transform(corner, np.array([[-0.2, -0.2]]))[0] * 40.0
-    assert tuple(picture[int(400 - y), int(x)]) == WHITE
+    for column, row, colour in ((2, 7, free), (12, 4, free), (6, 1, free), (16, 6, WHITE), (-2, -2, WHITE)):
+        x, y = transform(corner, 0.2 * np.array([[column, row]]))[0] * 40.0
+        assert tuple(picture[int(400 - y), int(x)]) == colour
+    rows, columns = np.nonzero((picture == wall).all(axis=2))
+    x, y = observe(corner, np.stack([columns + 0.5, 399.5 - rows], axis=1) / 40.0).T / 0.2
+    assert x.min() < 1.0 and x.max() > 13.0
+    assert (np.abs(y - 3.0 - 0.4 * x) / np.hypot(1.0, 0.4)).max() < 0.75  # that of the cells reaches 1.1
 
 
 def test_what_lies_far_outside_does_no_harm() -> None:
@@ -71,15 +74,3 @@ def test_a_window_opens_closes_and_opens_again() -> None:
         window.close()
         window.close()
         assert not pygame.display.get_init()
-
-
-def test_a_picture_is_scaled_to_a_resizable_window_in_its_proportions() -> None:
-    window, surface = Window("test", fps=1000.0, resizable=True), pygame.Surface((30, 20), depth=32)
-    surface.fill((255, 0, 0))
-    window.show(surface)
-    window._window = pygame.display.set_mode((120, 40), pygame.RESIZABLE)  # as if the user had drawn at its corner
-    window.show(surface)
-    shown = pixels(pygame.display.get_surface())
-    assert tuple(shown[20, 60]) == (255, 0, 0) and tuple(shown[20, 10]) == tuple(shown[20, 110]) == (0, 0, 0)
-    assert not window.is_visible  # on the display of the tests
-    window.close()

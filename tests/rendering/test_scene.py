@@ -50,6 +50,15 @@ def test_each_decision_shows_in_its_colour(decision) -> None:
     assert pixel(picture, 2.0, 2.0) == symbols.DECISIONS[decision]
 
 
+def test_wrong_pairings_have_a_form_of_their_own() -> None:
+    forms, at, feature = [], np.array([[8.0, 8.0]]), np.array([[32.0, 32.0]])
+    for code in (Decision.RIGHT, Decision.WRONG):
+        canvas = Canvas((40, 40), (0.0, 0.0), 1.0, symbols.PAPER)
+        symbols.decisions(canvas, at[0], at, feature, np.array([code]))
+        forms.append((pixels(canvas.picture()) != symbols.PAPER).any(axis=2))  # whatever the colour
+    assert (forms[0] != forms[1]).sum() > 0.2 * forms[0].sum()
+
+
 def test_the_plan_is_drawn_from_where_the_robot_is_by_now() -> None:
     path = np.array([[1.0, 2.0], [9.0, 2.0]])
     far, near = (drawn(path=path, pose=np.array([x, 2.0, 0.0])) for x in (1.0, 7.0))

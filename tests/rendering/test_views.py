@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from slam_gym.metrics.association import Decision
 from slam_gym.rendering import explore_view, symbols
 from slam_gym.rendering.canvas import pixels, pygame
 from slam_gym.rendering.explore_view import arrange, draw_floor
@@ -38,8 +39,8 @@ def test_an_episode_is_drawn_with_its_goals_and_what_became_of_the_robot() -> No
     )
     assert plain.shape == fuller.shape == (720, 960, 3) and (plain != fuller).any()
     assert (fuller == symbols.PLAN).all(axis=2).any()
-    assert [what for what, _ in explore_view._figures(env.episode)][:5] == [
-        "map error", "explored", "features mapped", "pairings right", "pose error",
+    assert [what for what, _ in explore_view._figures(env.episode)][:6] == [
+        "tick", "map error", "explored", "features", "paired right", "pose error",
     ]  # fmt: skip
 
 
@@ -50,9 +51,9 @@ def test_every_stage_has_its_picture(scenario) -> None:
         over = env.walk is None
         if number % 20 == 0 or over:
             picture = env.render()
-            assert picture.shape == (720, 1140, 3) and picture.std() > 10.0
+            assert picture.shape == (720, 960, 3) and picture.std() > 10.0
             assert (picture == symbols.CHOICE).all(axis=2).any()  # its entry of the key
-            candidates = (picture[:, :700] == symbols.PLAN).all(axis=2)
+            candidates = (picture[:, :540] == symbols.PLAN).all(axis=2)
             assert over or candidates.any(), "no gate of what is on offer"
             pictures.add(picture.tobytes())
     assert over and len(pictures) > 3
@@ -61,7 +62,7 @@ def test_every_stage_has_its_picture(scenario) -> None:
 
 # --- a panel shows the path, the offer and the truth, and any number of levels and choices fits -----------------------
 
-RED = (200, 30, 50)
+WRONG = symbols.DECISIONS[Decision.WRONG]
 KEY = ((symbols.MAPPED, symbols.MAPPED, "mapped feature"),) * 9
 
 
@@ -79,13 +80,13 @@ def has(picture, colour) -> bool:
 
 
 def test_the_path_the_offer_and_the_truth_show() -> None:
-    path = [Level("z0", 2, chosen=0, colour=RED), Level("z1", 0, chosen=STAR, colour=RED)]
+    path = [Level("z0", 2, chosen=0, decision=Decision.WRONG), Level("z1", 0, chosen=STAR, decision=Decision.WRONG)]
     here = Level("z2", 12, legal=frozenset({0, 1}), right=1)
     picture = drawn([*path, here, Level("z3", 1)], 2)
-    assert has(picture, RED) and has(picture, symbols.PLAN) and has(picture, symbols.TRUTH)
+    assert has(picture, WRONG) and has(picture, symbols.PLAN) and has(picture, symbols.TRUTH)
     assert has(picture, symbols.BAND)
     leaf = drawn(path, 2, remarks=("A leaf of 1 pairing", "D² = 3"))
-    assert has(leaf, RED) and not has(leaf, symbols.BAND)
+    assert has(leaf, WRONG) and not has(leaf, symbols.BAND)
 
 
 @pytest.mark.parametrize("levels", [0, 1, 3, 60])

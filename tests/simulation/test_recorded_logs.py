@@ -128,7 +128,7 @@ def test_without_known_places_no_map_is_scored() -> None:
         env = associate(log, render_mode="rgb_array")
         for _, _, _, _, info in episode(env, at_random(0)):
             assert info["map_error"] == 1.0
-        assert env.render().shape == (720, 1140, 3)
+        assert env.render().shape == (720, 960, 3)
 
 
 # -- names ---------------------------------------------------------------------------------------------------------

@@ -135,6 +135,9 @@ def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identi
 
 
 def test_files_hold_the_run(tmp_path, mapped) -> None:
+    thin = mapped.log.every(5)
+    write_mapped_log(tmp_path, "jcbb", replace(mapped, log=thin, poses=mapped.poses[::5]))
+    assert len(pd.read_csv(tmp_path / "drive.reference.csv")) > 4 * len(thin)  # the reference keeps all its positions
     write_mapped_log(tmp_path, "jcbb", mapped)
     features, errors = (pd.read_csv(tmp_path / f"drive.jcbb.{kind}.csv") for kind in ("map", "errors"))
     numbers = measure(mapped)

@@ -63,7 +63,7 @@ def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_pla
     assert best_names(found, Column("x", "x", 3)) == set()
     assert best_names(found | {"c": Interval(0.85, 0.7, 0.9)}, HIGHER) == {"b", "c"}
     assert best_names({"a": Interval(0.5, 0.4, 0.6), "b": Interval(0.5, 0.4, 0.6)}, HIGHER) == set()
-    assert best_names({"a": 0.1234, "b": 0.12341, "c": 0.2, "d": math.nan}, LOWER) == {"a", "b"}
+    assert best_names({"a": 0.1, "b": 0.2}, LOWER) == set()  # each from one run
 
 
 def test_differences_are_bold_where_they_exclude_zero():

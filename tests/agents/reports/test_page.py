@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from agents import report
-from agents.reports.figures import colours
 from agents.reports.page import write_report
 from tests.agents import typed
 from tests.agents.reports import PNG, Page
@@ -54,11 +53,11 @@ def test_a_page_is_well_formed_and_says_how_it_was_made(folder):
     assert "unfinished" not in read.text
 
 
-def test_the_best_of_a_column_is_bold_and_differences_are_signed(folder):
+def test_signed_differences_lead_and_the_best_of_a_column_is_bold(folder):
     markup = write_report(folder).read_text(encoding="utf-8")
     bold = re.findall(r'<td class="best">(.*?)</td>', markup)
-    assert re.fullmatch(r"0\.250<small>\[0\.2\d\d, 0\.2\d\d\]&nbsp;</small>", bold[0])
-    assert bold[1:] == [f"{sign}0.400<small>[{sign}0.400, {sign}0.400]&nbsp;</small>" for sign in "+−"]
+    assert bold[:2] == [f"{sign}0.400<small>[{sign}0.400, {sign}0.400]&nbsp;</small>" for sign in "+−"]
+    assert re.fullmatch(r"0\.250<small>\[0\.2\d\d, 0\.2\d\d\]&nbsp;</small>", bold[2]) and len(bold) == 3
 
 
 def test_an_unfinished_evaluation_says_so(folder):
@@ -81,8 +80,3 @@ def test_numbers_that_are_none_end_in_one_line(folder, column, value):
         and told.stderr.count("\n") == 1
         and f"results.csv or results.json of {folder}" in told.stderr
     )
-
-
-def test_a_name_keeps_its_colour_and_the_ceiling_has_its_own():
-    found = colours(["a", "true_association", "b"])
-    assert len(set(found.values())) == 3 and found["a"] == colours(["a", "b"])["a"]
