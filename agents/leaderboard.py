@@ -35,7 +35,7 @@ def main(
         Literal["agent", "associator", "relocator"] | None, Option(help="By default derived from NAME.")
     ] = None,
     board: Annotated[Path, Option(metavar="DIR", help="Where entries and the page go.")] = Path("leaderboard"),
-    quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry; ranked apart.")] = False,
+    quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry.")] = False,
     page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,
 ) -> None:
     """Evaluate and rank an entry by the frozen protocol, or rank all entries again."""
@@ -45,6 +45,8 @@ def main(
     if entry:
         _evaluate(entry, role or _role_of(entry), quick, board, execution)
     entries, refused = read_entries([BASELINES, board])
+    roles = {entry.protocol["role"] for entry in entries if entry.protocol["quick"]}
+    entries += [entry.quick() for entry in read_entries([BASELINES])[0] if entry.protocol["role"] in roles]
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
     tables = markdown(entries)

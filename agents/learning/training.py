@@ -23,6 +23,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback,
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from threadpoolctl import threadpool_limits
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import command_line, plain, versions
@@ -123,7 +124,8 @@ def train(
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if last is None and training.resume:
         raise ValueError(f"{out} holds no training to resume")
-    torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
+    torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower
+    threadpool_limits(1)
     watched = DummyVecEnv([partial(_held_out, decision, each, training.eval_episodes) for each in worlds])
     known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
     about = About.of(

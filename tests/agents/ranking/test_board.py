@@ -84,7 +84,7 @@ def test_entries_come_back_from_their_files(tmp_path):
     entry = ranked("jcbb", chosen, records, "python -m …")
     path = write_entry(tmp_path, entry)
     assert path.name == "associator-jcbb-quick.json" and read_entries([tmp_path]) == ([entry], [])
-    assert entry.losses == {"clutter/1": [0.25], "office-small": [0.25]}
+    assert entry.losses == {"clutter/1": [0.25], "drift-2": [0.25]}
 
 
 def test_a_world_in_which_nothing_was_to_be_decided_has_no_loss_and_none_is_infinite():
@@ -141,7 +141,8 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     leaderboard("--entry", MINE, "--role", "associator", "--page", str(page))
     shown = page.read_text()
     assert shown.startswith("before") and shown.endswith("after\n") and "old" not in shown
-    assert "| 1 | mine |" in shown and "|  | true association |" in shown and "| clutter | office-small |" in shown
+    assert "|  | mine |" in shown and "|  | true association |" in shown and "| clutter | drift-2 |" in shown
+    assert "|  | jcbb |" in shown, "what ships is ranked beside it, in the same worlds"
     before, _ = read_entries([board])
     leaderboard("--entry", MINE, "--role", "associator")
     assert [entry.losses for entry in read_entries([board])[0]] == [entry.losses for entry in before]
