@@ -105,10 +105,10 @@ def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Fig
 
 
 def final_map(episode: Episode) -> Figure:
-    """The final map of an episode: true walls black, true features grey, mapped features blue, the path red, and red
-    lines from true features to their positions in the map."""
+    """The final map of an episode: walls black, explored ones light blue, features grey, mapped features blue, the path
+    red, and red lines from true features to their positions in the map."""
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
-    axis = plot_episode(episode, figure.subplots(), errors=True)
+    axis = plot_episode(episode, figure.subplots(subplot_kw={"frameon": False}), errors=True)
     axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
     return figure
 
