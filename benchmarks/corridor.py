@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.common import Record, options, table
 from slam_gym import MapSpec, Slam, SlamSpec
-from slam_gym.geometry import wrap_angle
 from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.simulation.judged import JudgedSlam
@@ -32,15 +31,6 @@ class CorridorRun(NamedTuple):
     slam: Slam
     tally: Tally
     nees: Array  # (45,) pose NEES over 3 degrees of freedom; the first, of a pose known exactly, is 0
-    poses: Array  # (45, 3) [m, m, rad] true
-    estimates: Array  # (45, 3)
-
-    @property
-    def pose_errors(self) -> Array:
-        """(45, 3) [m, m, rad] estimate minus truth."""
-        errors: Array = self.estimates - self.poses
-        errors[:, 2] = [wrap_angle(turn) for turn in errors[:, 2].tolist()]
-        return errors
 
 
 def run_corridor(
@@ -50,15 +40,11 @@ def run_corridor(
     spec = MapSpec(confidence=confidence, iterations=1, right_invariant=False, second_order=False)
     slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)
-    poses: list[Array] = []
-    estimates: list[Array] = []
     nees: list[float] = []
     for odometry, scan, truth in walk_round(np.random.default_rng(seed), q):
         judged.step(odometry, scan, truth)
-        nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose) if poses else 0.0)
-        poses.append(truth.pose)
-        estimates.append(slam.map.pose)
-    return CorridorRun(slam, judged.tally, np.array(nees), np.array(poses), np.array(estimates))
+        nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose) if nees else 0.0)
+    return CorridorRun(slam, judged.tally, np.array(nees))
 
 
 def summary(associator: str, seeds: int, q: float, confidence: float) -> Record:

@@ -140,3 +140,7 @@ def _find_agents() -> None:
         sys.path.insert(0, str(folder))
         previous = os.environ.get("PYTHONPATH")
         os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([previous] if previous else [])])
+
+
+if __name__ == "__main__":
+    app()

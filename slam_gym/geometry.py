@@ -39,7 +39,6 @@ def compose(a: Array, b: Array) -> Array:
     return out
 
 
-@compiled
 def compose_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
     """∂(a ⊕ b)/∂a and ∂(a ⊕ b)/∂b, each (3, 3)."""
     c, s = math.cos(a[2]), math.sin(a[2])
@@ -52,20 +51,15 @@ def compose_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def inverse(a: Array) -> Array:
-    """⊖a for a pose (3,)."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    out = np.empty(3)
-    out[0] = -c * a[0] - s * a[1]
-    out[1] = s * a[0] - c * a[1]
-    out[2] = wrap_angle(-a[2])
-    return out
-
-
-@compiled
 def relative(a: Array, b: Array) -> Array:
     """⊖a ⊕ b: pose b in the frame of pose a, where both are given in one frame."""
-    return compose(inverse(a), b)
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return compose(np.array([-c * a[0] - s * a[1], s * a[0] - c * a[1], wrap_angle(-a[2])]), b)
+
+
+def inverse(a: Array) -> Array:
+    """⊖a for a pose (3,)."""
+    return relative(a, np.zeros(3))
 
 
 @compiled
@@ -91,15 +85,10 @@ def observe(pose: Array, points: Array) -> Array:
     return out
 
 
-@compiled
 def rotate_covariances(heading: float, covariances: Array) -> Array:
     """C Σ Cᵀ for each covariance of (m, 2, 2), where C is the rotation by `heading` [rad]."""
+    (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
     c, s = math.cos(heading), math.sin(heading)
-    out = np.empty_like(covariances)
-    for i in range(covariances.shape[0]):
-        a, b, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
-        cross = c * s * (a - d) + (c * c - s * s) * b
-        out[i, 0, 0] = c * c * a - 2.0 * c * s * b + s * s * d
-        out[i, 1, 1] = s * s * a + 2.0 * c * s * b + c * c * d
-        out[i, 0, 1] = out[i, 1, 0] = cross
-    return out
+    across = c * s * (xx - yy) + (c * c - s * s) * xy
+    along_x, along_y = c * c * xx - 2.0 * c * s * xy + s * s * yy, s * s * xx + 2.0 * c * s * xy + c * c * yy
+    return np.array([[along_x, across], [across, along_y]]).transpose(2, 0, 1)

@@ -115,12 +115,10 @@ def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
 
 def check_inputs(odometry: Odometry, scan: Scan) -> None:
     """Raise ValueError unless a step is given an `Odometry` and a `Scan`, in this order."""
-    for name, value, expected, maker in (
-        ("odometry", odometry, Odometry, "Odometry.from_motion"),
-        ("scan", scan, Scan, "Scan.from_points"),
-    ):
-        if not isinstance(value, expected):
-            raise ValueError(f"{name}: {type(value).__name__}, expected {expected.__name__} ({maker} makes one)")
+    if not isinstance(odometry, Odometry):
+        raise ValueError(f"odometry: {type(odometry).__name__}, expected Odometry (Odometry.from_motion makes one)")
+    if not isinstance(scan, Scan):
+        raise ValueError(f"scan: {type(scan).__name__}, expected Scan (Scan.from_points makes one)")
 
 
 def check_scan(scan: Scan) -> None:
@@ -128,19 +126,6 @@ def check_scan(scan: Scan) -> None:
     entry, fault = first_bad_measurement(scan.points, scan.covariances)
     if fault:
         raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
-
-
-@compiled
-def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[int, int]:
-    """The index of the first decision that is out of range (1) or repeats a feature (2), and which; else (−1, 0)."""
-    for i in range(len(features)):
-        if features[i] < UNPAIRED or features[i] >= n:
-            return i, 1
-        if exclusive and features[i] != UNPAIRED:
-            for earlier in range(i):
-                if features[earlier] == features[i]:
-                    return i, 2
-    return -1, 0
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:
@@ -157,13 +142,16 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     if (not plain and (not isinstance(array, np.ndarray) or array.dtype.kind != "i")) or array.shape != (measurements,):
         actual = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise ValueError(f"hypothesis.features: {actual}, expected ({measurements},) signed integers")
-    # the check below is compiled for plain int64 arrays only
+    # compiled functions take plain int64 arrays only
     decisions = array if plain else np.array(array, dtype=np.int64, subok=False)
-    entry, fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
-    if fault == 1:
-        raise ValueError(f"hypothesis.features[{entry}]: {decisions[entry]}, expected −1 … {features - 1}")
-    if fault == 2:
-        raise ValueError(f"hypothesis.features[{entry}]: feature {decisions[entry]} is paired twice")
+    paired: set[int] = set()
+    for entry, feature in enumerate(decisions.tolist()):
+        if not UNPAIRED <= feature < features:
+            raise ValueError(f"hypothesis.features[{entry}]: {feature}, expected −1 … {features - 1}")
+        if hypothesis.exclusive and feature in paired:
+            raise ValueError(f"hypothesis.features[{entry}]: feature {feature} is paired twice")
+        if feature != UNPAIRED:
+            paired.add(feature)
     if hypothesis.new is not None and not _is_valid_new(hypothesis.new, decisions):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
     return hypothesis if decisions is array else replace(hypothesis, features=decisions)

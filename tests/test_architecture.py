@@ -36,7 +36,6 @@ ALLOWED = {
     "envs": SIMULATION | {"simulation", "rendering"},
     "commands": {"__init__", "association", "doctor", "recordings", "scenarios"},
     "doctor": {"__init__", "_jit", "recordings"},
-    "__main__": {"commands"},
     "__init__": SIMULATION,
 }
 """The rooms that each room may import from, besides itself: always those below it."""

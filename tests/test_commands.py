@@ -76,7 +76,7 @@ def test_it_runs_in_a_folder_without_agents(tmp_path):
     line = (
         "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --output out"
     )
-    command = [sys.executable, "-m", "slam_gym", *line.split()]
+    command = [sys.executable, "-m", "slam_gym.commands", *line.split()]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))

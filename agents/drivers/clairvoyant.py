@@ -136,34 +136,23 @@ def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array,
     Legs lead from the `start` to each viewpoint, and `between` any two of them; `left` are the remaining ticks, `seen`
     (w,) the known features. There is a tour for each row of `chance` (tours, v).
     """
-    best = 0.0
-    for tour in range(chance.shape[0]):
-        power = 0.6 + 0.2 * (tour % 4)
-        best = max(best, _tour(start, between, left, seen.copy(), worth, chance[tour], power, early))
-    return best
-
-
-@compiled
-def _tour(
-    start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, power: float, early: float
-) -> float:
-    """The gain of a tour whose next leg maximises gain / ticks^`power` times the `chance` (v,) of its end."""
-    (costs, views), (ticks, legs), rest, total = start, between, left, 0.0
-    while True:
-        chosen, best, chosen_gain = -1, 0.0, 0.0
-        for v in range(len(chance)):
-            if costs[v] > rest:
-                continue
-            gain = gained(seen, views[v], worth)
-            if gain > 0.0 and gain / costs[v] ** power * chance[v] > best:
-                chosen, best, chosen_gain = v, gain / costs[v] ** power * chance[v], gain
-        if chosen < 0:
-            return total
-        rest -= costs[chosen]
-        for w in range(len(seen)):
-            seen[w] |= views[chosen, w]
-        total += chosen_gain * (1.0 + early * rest / max(left, 1.0))
-        costs, views = ticks[chosen], legs[chosen]
+    most, (ticks, legs) = 0.0, between
+    for tour in range(len(chance)):
+        (costs, views), known, rest, total, power = start, seen.copy(), left, 0.0, 0.6 + 0.2 * (tour % 4)
+        chosen = 0
+        while chosen >= 0:  # the next leg maximises gain / ticks^power times the chance of its end
+            chosen, best, chosen_gain = -1, 0.0, 0.0
+            for v in range(chance.shape[1]):
+                gain = gained(known, views[v], worth) if costs[v] <= rest else 0.0
+                if gain > 0.0 and gain / costs[v] ** power * chance[tour, v] > best:
+                    chosen, best, chosen_gain = v, gain / costs[v] ** power * chance[tour, v], gain
+            if chosen >= 0:
+                rest -= costs[chosen]
+                known |= views[chosen]
+                total += chosen_gain * (1.0 + early * rest / max(left, 1.0))
+                costs, views = ticks[chosen], legs[chosen]
+        most = max(most, total)
+    return most
 
 
 # -- features seen from every place, and on every path between places ------------------------------------------------
@@ -190,7 +179,7 @@ class TrueViews:
     def ways_from(self, sources: IntArray) -> Ways:
         """The paths from `sources` (s,), indices of cells."""
         lengths, before = dijkstra(self._graph, indices=sources, return_predecessors=True)
-        return Ways(lengths, _along(np.argsort(lengths, axis=1), before, self.seen, lengths))
+        return Ways(lengths, _along(before, self.seen, np.isfinite(lengths)))
 
     def nearest(self, points: Array) -> IntArray:
         """(q,) indices of the cells nearest to `points` (q, 2) in W."""
@@ -243,17 +232,14 @@ def _seen_from(site: Site, reach: float) -> Bits:
     return bits_of(seen)
 
 
-@compiled
-def _along(order: IntArray, before: NDArray[np.int32], seen: Bits, lengths: Array) -> Bits:
-    """(s, c, w) the features seen on paths, cell by cell in `order`, the nearest first."""
-    out = np.zeros((order.shape[0], seen.shape[0], seen.shape[1]), np.uint64)
-    for s in range(order.shape[0]):
-        for i in range(order.shape[1]):
-            c = order[s, i]
-            if lengths[s, c] == math.inf:
-                break
-            for w in range(seen.shape[1]):
-                out[s, c, w] = seen[c, w]
-                if before[s, c] >= 0:
-                    out[s, c, w] |= out[s, before[s, c], w]
+def _along(before: NDArray[np.int32], seen: Bits, reached: BoolArray) -> Bits:
+    """(s, c, w) the features seen on paths, from what is `seen` (c, w) in each cell and the cell `before` (s, c) it.
+
+    Every round adds what the present predecessor has collected, and goes twice as far back.
+    """
+    out = np.where(reached[..., None], seen, np.uint64(0))
+    while (before >= 0).any():
+        from_cell = np.where(before >= 0, before, np.arange(len(seen)))
+        out |= np.take_along_axis(out, from_cell[..., None], axis=1)
+        before = np.where(before >= 0, np.take_along_axis(before, from_cell, axis=1), before)
     return out

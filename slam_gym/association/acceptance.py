@@ -57,8 +57,8 @@ from scipy.special import gammaln, logsumexp, xlogy
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, joint_gates
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.relocation.arrays import Mapped, as_floats, as_integers, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import difference_covariance, unary_table
+from slam_gym.association.relocation.arrays import map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import difference_covariances, unary_table
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
@@ -115,37 +115,17 @@ def log_expected(
     m = len(scan)
     if m < 2:
         return np.full(m + 1, math.inf)
-    return _log_expected(
-        as_floats(scan.points), as_floats(scan.covariances), _fractions(scan, landmarks, confidence), crowding.variance,
-        _log_starts(crowding, m), _log_tubes(m, confidence),
-    )  # fmt: skip
-
-
-@compiled
-def _log_expected(
-    points: Array, noise: Array, fractions: Array, variance: float, log_starts: Array, log_tubes: Array
-) -> Array:
-    """log E_k from q_i (m,), log Σ λ^p (m,) for p = 0 … m − 1, and what k and the confidence determine (m − 1,)."""
-    m = len(points)
-    logs, mean, square = np.empty(m), 0.0, 0.0
-    x, y = points[:, 0].mean(), points[:, 1].mean()
-    for i in range(m):
-        xx, yy, xy = noise[i, 0, 0] + variance, noise[i, 1, 1] + variance, noise[i, 0, 1]
-        area = math.sqrt(max(xx * yy - xy * xy, VARIANCE_FLOOR**2))
-        logs[i] = math.log(area * fractions[i]) if fractions[i] > 0.0 else -math.inf
-        mean, square = mean + area / m, square + ((points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2) / (m - 1)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        determinants = np.linalg.det(scan.covariances + crowding.variance * np.eye(2))
+        areas = np.sqrt(np.maximum(determinants, VARIANCE_FLOOR**2))
+        logs = np.log(areas * _fractions(scan, landmarks, confidence))
+        log_spread = 0.5 * np.log(scan.points.var(axis=0, ddof=1).sum())
     expected = np.full(m + 1, -math.inf)  # first log e_k, the elementary symmetric polynomials
     expected[0] = 0.0
-    for i in range(m):
-        for k in range(i + 1, 0, -1):
-            added = expected[k - 1] + logs[i]
-            larger = max(expected[k], added)
-            if larger > -math.inf:
-                expected[k] = larger + math.log1p(math.exp(min(expected[k], added) - larger))
+    for of_pairing in logs:
+        expected[1:] = np.logaddexp(expected[1:], expected[:-1] + of_pairing)
     expected[:2] = math.inf
-    for k in range(2, m + 1):
-        spread = 0.5 * math.log(square) if square > 0.0 else -math.inf
-        expected[k] += log_starts[k - 1] + log_tubes[k - 2] + spread - 1.5 * math.log(mean)
+    expected[2:] += _log_starts(crowding, m)[1:] + _log_tubes(m, confidence) + log_spread - 1.5 * math.log(areas.mean())
     return expected
 
 
@@ -164,9 +144,11 @@ def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
     mapped = map_arrays(landmarks)
     others, neighbours = _neighbourhoods(mapped.positions, width / 3.0)
     sample = np.arange(0, len(landmarks), max(len(landmarks) // _SAMPLE, 1))
-    variance = _relative_variance(mapped, sample[neighbours[sample] != UNPAIRED], neighbours)
-    if math.isnan(variance):
-        variance = 0.5 * float(np.trace(mapped.covariances[sample], axis1=1, axis2=2).mean()) if len(sample) else 0.0
+    paired = sample[neighbours[sample] != UNPAIRED]
+    errors = mapped.covariances[sample]
+    if len(paired):
+        errors = 0.5 * difference_covariances(mapped, paired, neighbours[paired])
+    variance = 0.5 * float(np.maximum(np.trace(errors, axis1=1, axis2=2), 0.0).mean()) if len(errors) else 0.0
     return Crowding(np.bincount(others, minlength=1), width * width, variance)
 
 
@@ -200,55 +182,32 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
     if not (np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any()):
         return np.full(len(scan), float(len(landmarks) > 0))
     step = max(len(landmarks) // _SAMPLE, 1)
-    passed = unary_table(
-        scan_arrays(scan),
-        as_floats(landmarks.sizes[::step]),
-        as_floats(landmarks.size_variances[::step]),
-        as_integers(landmarks.kinds[::step]),
-        chi2_gate(1, confidence),
-    )
+    attributes = landmarks.sizes[::step], landmarks.size_variances[::step], landmarks.kinds[::step]
+    passed = unary_table(scan_arrays(scan), *attributes, chi2_gate(1, confidence))
     fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)
     return fractions
 
 
-@compiled
 def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
-    """Other points in the 3 × 3 cells of `side` around each point: number (n,), and one in its own cell (n,), or
-    UNPAIRED.
+    """Other points in the 3 × 3 cells of `side` around each point: number (n,), and the one before it in its own cell
+    (n,), or UNPAIRED.
 
     Cells are hashed into a table, where distinct cells may collide: this can only make the map look more crowded.
     """
-    n, size = len(positions), 64
-    while size < 8 * n:
-        size *= 2
-    counts, last = np.zeros(size, np.int64), np.full(size, UNPAIRED)
-    others, neighbours = np.full(n, -1), np.empty(n, np.int64)
-    for j in range(n):
-        cell = _cell(math.floor(positions[j, 0] / side), math.floor(positions[j, 1] / side), size)
-        counts[cell] += 1
-        neighbours[j], last[cell] = last[cell], j
-    for j in range(n):
-        x, y = math.floor(positions[j, 0] / side), math.floor(positions[j, 1] / side)
-        for dx in range(-1, 2):
-            for dy in range(-1, 2):
-                others[j] += counts[_cell(x + dx, y + dy, size)]
+    n = len(positions)
+    size = 1 << max(6, (8 * n - 1).bit_length())
+    with np.errstate(invalid="ignore"):
+        x, y = np.floor(positions / side).astype(np.int64).T
+
+    def cells_at(dx: int, dy: int) -> IntArray:
+        return np.asarray(((x + dx) * 73856093 ^ (y + dy) * 19349663) & (size - 1))
+
+    own, neighbours = cells_at(0, 0), np.full(n, UNPAIRED)
+    counts, order = np.bincount(own, minlength=size), np.argsort(own, kind="stable")
+    shared = own[order[1:]] == own[order[:-1]]
+    neighbours[order[1:][shared]] = order[:-1][shared]
+    others = np.sum([counts[cells_at(dx, dy)] for dx in (-1, 0, 1) for dy in (-1, 0, 1)], axis=0) - 1
     return others, neighbours
-
-
-@compiled
-def _cell(x: float, y: float, size: int) -> int:
-    """Index of a cell in a hash table of `size`, a power of 2."""
-    return int((np.int64(x) * 73856093 ^ np.int64(y) * 19349663) & (size - 1))
-
-
-@compiled
-def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -> float:
-    """[m²] per axis: half the variance of the difference to a neighbour, the mean over `sample`; NaN if empty."""
-    total = 0.0
-    for j in sample:
-        xx, _, yy = difference_covariance(mapped, j, neighbours[j])
-        total += 0.25 * max(xx + yy, 0.0)
-    return total / len(sample) if len(sample) > 0 else math.nan
 
 
 Rows = tuple[IntArray, BoolArray, Array, Array, IntArray]

@@ -101,14 +101,6 @@ def joint(expected: Expected, rows: IntArray) -> Array:
 
 
 @compiled
-def local(expected: Expected, rows: IntArray) -> BoolArray:
-    """(j, j) which of the features at `rows` (j,) are local to each other; (0, 0): all are local to all."""
-    if len(expected.neighbours) == 0:
-        return np.empty((0, 0), np.bool_)
-    return among(expected.neighbours, expected.degrees, expected.n, expected.features[rows])
-
-
-@compiled
 def visibility(expected: Expected, positions: Array, covariances: Array) -> tuple[Array, int]:
     """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view, and the index of the first
     one whose numbers are not finite, or −1. The probabilities are (0,) where visibility is unknown."""

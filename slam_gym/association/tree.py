@@ -151,8 +151,8 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 
 def decided(tree: Tree, node: Node) -> IntArray:
     """Row of the prediction paired with each measurement, (m,); UNPAIRED for `*` and for undecided measurements."""
-    rows = np.full(len(tree.scan), UNPAIRED)
-    write_rows(tree.pairings, node.path, tree.rows, rows)
+    rows, pairings = np.full(len(tree.scan), UNPAIRED), tree.pairings
+    rows[pairings.measured[node.path]] = tree.rows[pairings.slots[node.path]]
     return rows
 
 
@@ -280,19 +280,15 @@ def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
     path[p] = d
     for q in range(p + 1):
         store(innovations, path[q], read(node.innovations, path[q]))
-        _copy_rows(w[path[q]], node.w[path[q]], 2 * p)
+        for r in range(2 * p):
+            w[path[q], r, 0], w[path[q], r, 1] = node.w[path[q], r, 0], node.w[path[q], r, 1]
     for c in range(following, count):
-        _copy_rows(w[c], node.w[c], 2 * p)
+        for r in range(2 * p):
+            w[c, r, 0], w[c, r, 1] = node.w[c, r, 0], node.w[c, r, 1]
         e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(node.innovations, c))
         store(innovations, c, e)
         added[c] = squared(e)
     return Node(node.level + 1, path, node.distance + node.added[d], innovations, added, w)
-
-
-@inlined
-def _copy_rows(target: Array, source: Array, rows: int) -> None:
-    for r in range(rows):
-        target[r, 0], target[r, 1] = source[r, 0], source[r, 1]
 
 
 @compiled
@@ -302,10 +298,3 @@ def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last:
     for c in range(first, last):
         out[c - first] = added[c] if may_follow(pairings, path, len(path), c) else math.inf
     return out
-
-
-@compiled
-def write_rows(pairings: Pairings, path: IntArray, rows: IntArray, out: IntArray) -> None:
-    """Write the pairings of a path to `out` (m,), as the prediction `rows` (u,) of their slots."""
-    for c in path:
-        out[pairings.measured[c]] = rows[pairings.slots[c]]

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
+from slam_gym.association.walks import POSITION_SCALE, SIGMA_SCALE, SIZE_SCALE, Float32Array, squash
 from slam_gym.geometry import observe as seen_from
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import Blocks, Cells, ExploredGrid, draw_egocentric
 from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
 from slam_gym.types import Array, Scan
-
-Float32Array = NDArray[np.float32]
 
 POINT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "size")
 """Columns of a measurement, and of a map feature in the last prediction."""
@@ -29,19 +28,11 @@ FEATURES = 32  # nearest map features in an observation
 PIXELS = 48  # side of the image
 METRES = 24.0  # [m] side of the square that the image shows
 
-POSITION_SCALE = 6.0  # [m]
-SIGMA_SCALE = 0.1  # [m]
 HEADING_SCALE = 0.05  # [rad]
-SIZE_SCALE = 1.0  # [m]
 GOAL_SCALE = 10.0  # [m] of x, y in the robot frame, and of the path length
 AREA_SCALE = 10.0  # [m²]
 REDUCTION_SCALE = 0.1  # [m²]
 VIEW_SCALE = 5.0  # features in view along the path
-
-
-def squash(value: Any, scale: float) -> Any:
-    """v / (|v| + scale), which maps monotonically to (−1, 1), and 0 to 0."""
-    return value / (np.abs(value) + scale)
 
 
 def unsquash(value: Any, scale: float) -> Any:

@@ -62,14 +62,10 @@ def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
     return True
 
 
-@compiled
 def symmetric(P: Array, d: int) -> Array:
     """A copy of P[:d, :d] with both triangles filled in."""
-    out = np.empty((d, d))
-    for i in range(d):
-        for j in range(i, d):
-            out[i, j] = out[j, i] = P[i, j]
-    return out
+    upper = np.triu(P[:d, :d])
+    return upper + np.triu(upper, 1).T
 
 
 @compiled
@@ -150,17 +146,6 @@ def keep(arrays: MapArrays, kept: IntArray) -> None:
         x[i] = x[old[i]]
         for j in range(max(i, 3 + 2 * first), len(old)):
             P[i, j] = P[old[i], old[j]]
-
-
-@compiled
-def confirmed(x: Array, counted: IntArray, n: int, confirmations: int) -> Array:
-    """Positions (e, 2) of the features seen in at least `confirmations` steps."""
-    out, e = np.empty((n, 2)), 0
-    for j in range(n):
-        if counted[SEEN, j] >= confirmations:
-            out[e, 0], out[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
-            e += 1
-    return out[:e]
 
 
 @compiled

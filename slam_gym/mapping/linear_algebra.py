@@ -19,23 +19,22 @@ from slam_gym.types import Array
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 _NUMBA: Any = config
-_LANES = 8  # doubles in a cache line
+LANES = 8  # doubles in a cache line
 _CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
 ROUNDING = 1e-13  # fraction of the cancelling terms that is added to the diagonals of S and P, to keep both definite
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
 
 
-@compiled
 def padded(d: int) -> int:
     """d rounded up to whole cache lines: the least length of x and side of P."""
-    return (d + _LANES - 1) // _LANES * _LANES
+    return (d + LANES - 1) // LANES * LANES
 
 
 def aligned_zeros(*shape: int) -> Array:
     """An array of zeros that starts at a cache line, on which the update runs a third faster."""
     size = math.prod(shape)
-    room = np.zeros(size + _LANES)
-    start = -room.ctypes.data // room.itemsize % _LANES
+    room = np.zeros(size + LANES)
+    start = -room.ctypes.data // room.itemsize % LANES
     return room[start : start + size].reshape(shape)
 
 
@@ -129,8 +128,8 @@ def subtract_squares(P: Array, W: Array) -> None:
         for j in range(d):
             lost[j] += row[j] * row[j]
     for i in range(0, d, 4):
-        left = i - i % _LANES
-        length = (d - left) // _LANES * _LANES
+        left = i - i % LANES
+        length = (d - left) // LANES * LANES
         block = P[i, left:], P[i + 1, left:], P[i + 2, left:], P[i + 3, left:]
         for k in range(0, rows, 2):
             _subtract_from(*block, W[k, left:], W[k + 1, left:], W[k : k + 2, i : i + 4], length)

@@ -188,7 +188,7 @@ class StochasticMap:
     @property
     def confirmed(self) -> Array:
         """(e, 2) [m] positions in B of the features that are not provisional."""
-        return ekf.confirmed(self._x, self._counted, self.n, self.spec.confirmations)
+        return self._x[3 : self._d].reshape(-1, 2)[~self.provisional]
 
     @property
     def provisional(self) -> BoolArray:
@@ -374,7 +374,7 @@ class StochasticMap:
         self.estimate = Estimate()
 
     def learned(self, created: int) -> None:
-        """Register that a compiled step has added `created` features to the arrays, or removed −`created`."""
+        """Register that `created` features were added to the arrays, or −`created` removed."""
         self.moved()
         self.n += created
         self.next_id += max(created, 0)

@@ -25,7 +25,7 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.ekf import turned
-from slam_gym.mapping.linear_algebra import ROUNDING, cholesky, is_covariance, padded, subtract_squares, whiten
+from slam_gym.mapping.linear_algebra import LANES, ROUNDING, cholesky, is_covariance, subtract_squares, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray
 
 ACCEPTED, NO_SUCH_FEATURE = -1, -2  # returned by `update`
@@ -61,7 +61,8 @@ def update(
     refused, z, R, paired = _pairings(scan, features, n)
     if refused != ACCEPTED:
         return refused
-    x_old, x_lin, change = x, x, np.zeros(padded(d))  # x_lin: the state at which H is evaluated
+    x_old, x_lin = x, x  # x_lin: the state at which H is evaluated
+    change = np.zeros((d + LANES - 1) // LANES * LANES)  # as long as the rows of P
     while True:
         nu, W, S = _innovation(x_old, x_lin, change, P, d, (z, R, paired))
         if not cholesky(S):
@@ -116,7 +117,7 @@ def _innovation(
     """
     points, covariances, paired = pairings
     k = len(paired)
-    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
+    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, len(change))), np.zeros((2 * k, 2 * k))
     robot = np.empty((3, d))
     for i in range(3):
         for j in range(d):

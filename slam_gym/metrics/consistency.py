@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.geometry import relative, wrap_angle
-from slam_gym.mapping import ekf
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 
 
@@ -16,7 +15,8 @@ from slam_gym.types import Array
 def nees(error: Array, covariance: Array) -> float:
     """Normalised estimation error squared ε = eᵀ P⁻¹ e of an error e (d,) with covariance P (d, d).
 
-    It has a χ² distribution with d degrees of freedom if the filter is consistent. A direction with variance 0
+    It has a χ² distribution with d degrees of freedom if the filter is consistent. Of P, only the upper triangle is
+    read. A direction with variance 0
     contributes nothing if its error is 0 too, as at the robot's first pose; otherwise ε is infinite.
     """
     d = len(error)
@@ -24,7 +24,7 @@ def nees(error: Array, covariance: Array) -> float:
     total = 0.0
     for i in range(d):
         for j in range(i + 1):
-            rest = covariance[i, j]
+            rest = covariance[j, i]
             for k in range(j):
                 rest -= factor[i, k] * factor[j, k]
             if i > j:
@@ -42,21 +42,11 @@ def nees(error: Array, covariance: Array) -> float:
     return total
 
 
-@compiled
 def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
     """NEES of a pose (3,) with covariance (3, 3) and true pose (3,); the error of the heading is wrapped."""
     error = pose - true
     error[2] = wrap_angle(error[2])
     return nees(error, covariance)
-
-
-@compiled
-def error_of_pose(x: Array, P: Array, base: Array, true: Array) -> float:
-    """`pose_nees` of the robot in a map with state x and covariance P (upper triangle).
-
-    `base` (3,) is the base of the map in W, `true` (3,) the true pose of the robot in W.
-    """
-    return pose_nees(x[:3], ekf.symmetric(P, 3), relative(base, true))
 
 
 def anees(values: Array, dof: int) -> float:

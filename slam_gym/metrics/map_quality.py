@@ -135,8 +135,12 @@ def error_and_coverage(
     places: IntArray,
 ) -> tuple[float, float]:
     """`error_of` the confirmed features of a map of n, whose base (3,) is in W, and `coverage` of `places`."""
-    landmarks = transform(base, ekf.confirmed(arrays[0], arrays[2], n, confirmations))
-    return error_of(landmarks, index), coverage(cells, places)
+    (x, _, counted, _), confirmed, e = arrays, np.empty((n, 2)), 0
+    for j in range(n):
+        if counted[ekf.SEEN, j] >= confirmations:
+            confirmed[e, 0], confirmed[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
+            e += 1
+    return error_of(transform(base, confirmed[:e]), index), coverage(cells, places)
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:

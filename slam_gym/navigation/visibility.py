@@ -164,7 +164,8 @@ def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) 
     while r_in < reach:
         r_out = min(next_x, next_y, reach)
         inside = 0 <= row < h and 0 <= column < w
-        if not inside and (_leaves(row, step_y, h) or _leaves(column, step_x, w)):
+        rises_off = (row < 0 and step_y <= 0) or (row >= h and step_y >= 0)
+        if rises_off or (column < 0 and step_x <= 0) or (column >= w and step_x >= 0):  # never enters the grid again
             return float(tau ** (unknown_length + reach - r_in))
         if inside and not first and cells[row, column] == WALL:
             return 0.0
@@ -176,9 +177,3 @@ def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) 
         else:
             row, next_y = row + step_y, next_y + stride_y
     return float(tau**unknown_length) if unknown_length > 0.0 else 1.0
-
-
-@compiled
-def _leaves(cell: int, step: int, count: int) -> bool:
-    """Whether a ray in this row or column, outside the `count` rows or columns of the grid, never enters the grid."""
-    return (cell < 0 and step <= 0) or (cell >= count and step >= 0)

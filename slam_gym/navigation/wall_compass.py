@@ -128,16 +128,28 @@ def _correct(motion: Array, P: Array, before: Array, beams: tuple[Array, Array, 
     Returns the lines (l, 5) of the sweep.
     """
     (bearings, ranges, max_range), used = beams, np.zeros(len(before), np.bool_)
-    after = _lines(bearings, ranges, max_range, variance)
+    after, PH, K = _lines(bearings, ranges, max_range, variance), np.empty((3, 2)), np.empty((3, 2))
     for j in range(len(after)):
         least, row = _PAIRED, -1
         for i in range(len(before)):
             distance = math.inf if used[i] else _difference(motion, P, before[i], after[j]).distance
             if distance < least:
                 least, row = distance, i
-        if row >= 0:
-            used[row] = True
-            _update(motion, P, before[row], after[j])
+        if row < 0:
+            continue
+        used[row] = True
+        # K = P Hᵀ S⁻¹; the motion moves by K times the difference, and P ← P − K H P
+        d, c, s = _difference(motion, P, before[row], after[j]), math.cos(before[row, 0]), math.sin(before[row, 0])
+        determinant = d.tt * d.aa - d.ta * d.ta
+        for i in range(3):
+            PH[i, 0], PH[i, 1] = P[i, 2], c * P[i, 0] + s * P[i, 1]
+            K[i, 0] = (d.aa * PH[i, 0] - d.ta * PH[i, 1]) / determinant
+            K[i, 1] = (d.tt * PH[i, 1] - d.ta * PH[i, 0]) / determinant
+        for i in range(3):
+            motion[i] += K[i, 0] * d.turn + K[i, 1] * d.away
+            for k in range(i + 1):
+                P[i, k] -= K[i, 0] * PH[k, 0] + K[i, 1] * PH[k, 1]
+                P[k, i] = P[i, k]
     return after
 
 
@@ -152,19 +164,3 @@ def _difference(motion: Array, P: Array, before: Array, after: Array) -> _Differ
     aa = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1] + before[4] + after[4]
     distance = (aa * turn * turn - 2.0 * ta * turn * away + tt * away * away) / (tt * aa - ta * ta)
     return _Difference(turn, away, tt, ta, aa, distance)
-
-
-@compiled
-def _update(motion: Array, P: Array, before: Array, after: Array) -> None:
-    """K = P Hᵀ S⁻¹; the motion moves by K times the difference, and P ← P − K H P."""
-    d, c, s = _difference(motion, P, before, after), math.cos(before[0]), math.sin(before[0])
-    determinant, PH, K = d.tt * d.aa - d.ta * d.ta, np.empty((3, 2)), np.empty((3, 2))
-    for i in range(3):
-        PH[i, 0], PH[i, 1] = P[i, 2], c * P[i, 0] + s * P[i, 1]
-        K[i, 0] = (d.aa * PH[i, 0] - d.ta * PH[i, 1]) / determinant
-        K[i, 1] = (d.tt * PH[i, 1] - d.ta * PH[i, 0]) / determinant
-    for i in range(3):
-        motion[i] += K[i, 0] * d.turn + K[i, 1] * d.away
-        for j in range(i + 1):
-            P[i, j] -= K[i, 0] * PH[j, 0] + K[i, 1] * PH[j, 1]
-            P[j, i] = P[i, j]

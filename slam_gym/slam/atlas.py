@@ -50,9 +50,8 @@ from slam_gym.slam.places.fusion import (
     join_relocated,
 )
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
-from slam_gym.slam.relocate import Relocate
+from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import fit_nothing
-from slam_gym.slam.tracker import Tracker
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
 from slam_gym.validation import check_settings
 

@@ -1,23 +1,31 @@
-"""Relocation: a lost robot is found by a search without a prior, whose answer must explain the scan."""
+"""Relocation. The tracker notices from the pairings of a scan, before the map learns, that the robot may be lost. A
+search without a prior finds it again; its answer must explain the scan."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
 
+from slam_gym._jit import compiled
 from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.prediction import predict
+from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.slam.tracker import EXPECTED
-from slam_gym.types import Array, IntArray, Locality, Relocation, Relocator, Scan
+from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Locality, Relocation, Relocator, Scan
 
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
+_EXPECTED = 0.5  # visibility from which a feature should be in view
+_STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
+_BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
+_NEAREST = 1e-9  # [m]
+_KNOWN_AFTER = 10  # [scans] without a measurement farther to the side, after which the sector of view counts as known
+_BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 SEARCH = "gcbb"
 """The default search for a lost robot."""
@@ -28,6 +36,137 @@ LOCALITIES: tuple[LocalityName, ...] = get_args(LocalityName)
 Relocate = Callable[[Scan, StochasticMap, CovisibilityGraph, float, ViewsFrom | None], Relocation | None]
 """Finds the robot: takes a scan, a map, its covisibility, the reach [m] of the sensor and, if known, what it has in
 view from a pose; returns a relocation, or None where the scan does not determine the pose."""
+
+
+class Tracker:
+    """Counts the consecutive scans that do not show what the map predicts.
+
+    A feature should be in view if it is established, and either its visibility is at least one half, or the last scan
+    that was believed paired it and nothing says that it has gone out of view since. A scan is doubted where
+
+    - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
+    - right after a scan that was believed, hardly any measurement is paired.
+
+    Where the prediction does not tell what is in view, a scan that pairs anything is believed: on new ground, where one
+    scan pairs less than the one before, a doubt would keep the map from learning the features that the next scans can
+    be paired with. The sector of directions in which anything was measured so far then stands for the view: a feature
+    that the last scan paired and that a turn has put out of the sector is not expected. A doubt lasts until a scan
+    pairs something.
+
+    So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
+    features that walls are known to hide.
+
+    Arguments:
+        fraction: fraction of the expected features, or of the measurements, that must be paired.
+        scans: number of consecutive doubted scans after which the robot is lost.
+        min_expected: least number of expected features, or of measurements, from which a doubt can follow.
+    """
+
+    def __init__(self, fraction: float, scans: int, min_expected: int) -> None:
+        self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
+        self.doubted = 0  # consecutive doubted scans
+        self.relocations = 0  # how often a lost robot was found again
+        self._last_paired: IntArray = np.empty(0, np.int64)
+        # (m,) features paired by the last scan that was believed, or UNPAIRED
+        self._least_cosine = 1.0  # of the bearings of all measurements so far
+        self._looks = 0  # scans since the least cosine last fell
+
+    @property
+    def lost(self) -> bool:
+        """Whether so many consecutive scans were doubted that the robot is lost."""
+        return self.doubted >= self.scans
+
+    @property
+    def lost_for(self) -> int:
+        """Number of scans before the last one for which the robot was lost; negative while it is not lost."""
+        return self.doubted - self.scans
+
+    def enough(self, blind: bool) -> tuple[float, bool]:
+        """The fraction of the measurements that, once paired, makes a scan believed without further tests.
+
+        No fraction is enough for a lost robot. The second result says whether a single pairing is enough: so it is if
+        the prediction is `blind`, without a view, because the other measurements may then show new ground.
+        """
+        return (math.inf, False) if self.lost else (max(_BELIEVED, self.fraction), blind)
+
+    def believes(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Whether the scan has enough pairings to be learned from; counts it as doubted otherwise.
+
+        Some pairings are accidental, so a lost robot needs twice the fraction, and twice the number, to be believed.
+        """
+        blind = not prediction.has_view
+        if blind:
+            self.look(scan.points)
+        (fraction, one_is_enough), measured = self.enough(blind), len(hypothesis.features)
+        pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
+        has_enough = pairings >= fraction * measured or (one_is_enough and pairings > 0)
+        if has_enough or not self._misses_too_much(prediction, hypothesis):
+            self.accept(hypothesis)
+            return True
+        self.doubted += 1
+        return False
+
+    def look(self, points: Array) -> None:
+        """Learn from measurements (m, 2) [m] in R how far to either side the sensor can look."""
+        ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
+        least = float(ahead.min(initial=1.0))
+        self._looks = 0 if least < self._least_cosine else self._looks + 1
+        self._least_cosine = min(least, self._least_cosine)
+
+    def accept(self, hypothesis: Hypothesis) -> None:
+        """End all doubts: tracking goes on from this hypothesis."""
+        self.doubted = 0
+        self._last_paired = hypothesis.features.copy()
+
+    def forget(self) -> None:
+        """Reset the counts for another map."""
+        self.doubted, self._last_paired = 0, self._last_paired[:0]
+
+    def renumber(self, became: IntArray) -> None:
+        """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
+        self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
+
+    def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        established = ~prediction.provisional
+        known, last = set(prediction.features[established].tolist()), set(self._last_paired.tolist())
+        expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
+        should_persist = known & last if prediction.has_view else expected
+        paired = known.intersection(hypothesis.features.tolist())
+        measured = len(hypothesis.features)
+        fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
+        missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
+        few = measured >= self.min_expected and len(paired) < fraction * measured
+        unresolved = self.doubted > 0 and not prediction.has_view
+        unexplained = few and (unresolved or len(should_persist) >= self.min_expected)
+        unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
+        return (missing and len(paired) < _BELIEVED * measured) or unexplained or unsure
+
+    def _should_be_seen(self, prediction: Prediction) -> BoolArray:
+        paired = np.isin(prediction.features, self._last_paired)
+        visibility = prediction.visibility()
+        if visibility is None:
+            return paired & self._in_sector(prediction.positions)
+        return (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
+
+    def _in_sector(self, positions: Array) -> BoolArray:
+        """(k,) which of the positions (k, 2) in R lie in a direction in which the sensor looks; at first, all."""
+        if self._looks < _KNOWN_AFTER:
+            return np.ones(len(positions), np.bool_)
+        ahead: BoolArray = positions[:, 0] >= self._least_cosine * np.hypot(positions[:, 0], positions[:, 1])
+        return ahead
+
+
+@compiled
+def _pairings_with(features: IntArray, sightings: IntArray, confirmations: int, decisions: IntArray) -> int:
+    """The number of decisions (m,) that pair one of the features (k,) with enough sightings to be confirmed."""
+    count = 0
+    for decision in decisions:
+        if decision != UNPAIRED:
+            for row in range(len(features)):
+                if sightings[row] >= confirmations and features[row] == decision:
+                    count += 1
+                    break
+    return count
 
 
 def relocate_by(
@@ -77,5 +216,5 @@ def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFr
     prediction = predict(relocated, reach, sight=view_from)
     visibility = prediction.visibility()
     assert visibility is not None
-    expected: IntArray = prediction.features[(visibility >= EXPECTED) & ~prediction.provisional]
+    expected: IntArray = prediction.features[(visibility >= _EXPECTED) & ~prediction.provisional]
     return int(np.isin(expected, found.features).sum()) >= _EXPLAINED * len(expected)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam_gym._jit import compiled
 from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import (
@@ -27,7 +26,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurem
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
-from slam_gym.slam.relocate import Relocate
+from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import (
     BAD_ODOMETRY,
     BAD_SCAN,
@@ -36,11 +35,9 @@ from slam_gym.slam.step import (
     NOT_ADDED,
     REFUSED,
     Settings,
-    forget,
     learn,
     predict,
 )
-from slam_gym.slam.tracker import Tracker
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -196,7 +193,7 @@ class Slam:
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        removed = self._forget(detail) if detail else _NO_FEATURES
+        removed = self._forget() if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
@@ -264,7 +261,8 @@ class Slam:
         m, rows, pose = self.map, rows_for(self.map.n), np.empty(4)
         motion, measured, reach = (odometry.motion, odometry.covariance), (scan.points, scan.covariances), self.reach
         if self.spec.reach is None:
-            reach = max(reach, _farthest(*measured, np.ones(len(scan), np.bool_), 3.0))
+            with np.errstate(invalid="ignore", over="ignore"):  # a bad scan is refused below
+                reach = max(reach, _farthest(*measured, 3.0))
         rule = reach, m.spec.second_order, self._gate, most_accidental
         locality = (*local_arrays(self.covisibility if self.spec.locality else None), self._recent.ravel())
         k = predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
@@ -318,7 +316,7 @@ class Slam:
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""
-        beyond = 0.0 if self._warned else _farthest(scan.points, scan.covariances, new, -6.0)
+        beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
         if beyond <= reach:
             return
         self._warned = True
@@ -328,14 +326,15 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self, due: int) -> IntArray:
-        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
-        m, graph = self.map, self.covisibility
-        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
-        *_, confirmations, before = self._settings()
-        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
-        m.learned(-due)
-        graph.learned(-due)
+    def _forget(self) -> IntArray:
+        """Remove the features that were not confirmed in time, renumber everything indexed by feature, and return the
+        ids removed."""
+        m = self.map
+        *_, before = self._settings()
+        due, became = np.flatnonzero(m.provisional & (m.first_seen < before)), np.full(m.n, UNPAIRED)
+        removed, kept = m.ids[due], m.remove(due)
+        self.covisibility.keep(kept)
+        became[kept] = np.arange(len(kept))
         self._renumber(became)
         return removed
 
@@ -346,13 +345,8 @@ class Slam:
             self.tracker.renumber(became)
 
 
-@compiled
-def _farthest(points: Array, covariances: Array, chosen: BoolArray, sigmas: float) -> float:
-    """[m] The greatest ‖z‖ + `sigmas` · σ of the `chosen` measurements (m,); σ² is the trace of the covariance."""
-    farthest = 0.0
-    for i in range(len(points)):
-        if not chosen[i]:
-            continue
-        sigma = math.sqrt(covariances[i, 0, 0] + covariances[i, 1, 1])
-        farthest = max(farthest, math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2) + sigmas * sigma)
-    return farthest
+def _farthest(points: Array, covariances: Array, sigmas: float) -> float:
+    """[m] The greatest ‖z‖ + `sigmas` · σ of measurements (m,), at least 0; σ² is the trace of the covariance."""
+    sigma = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + sigmas * sigma
+    return float(distances.max(initial=0.0))

@@ -13,7 +13,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import unambiguous_rows
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import count_pairs, keep_nodes
+from slam_gym.mapping.covisibility import count_pairs
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.measurement import Locality, RowArrays, foresee, keep_rows
 from slam_gym.mapping.update import ACCEPTED, update
@@ -145,61 +145,23 @@ def learn(
 
 
 @compiled
-def forget(
-    arrays: MapArrays,
-    n: int,
-    graph: GraphArrays,
-    rule: tuple[int, int],
-    became: IntArray,
-    removed: IntArray,
-) -> None:
-    """Marginalise out of the map the features that were not confirmed in time, as counted by `learn`.
-
-    `became` (n,) receives the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those removed.
-    """
-    counted, (neighbours, counts, degrees), (confirmations, before) = arrays[2], graph, rule
-    kept, n_kept, n_removed = np.empty(n - len(removed), np.int64), 0, 0
-    for j in range(n):
-        if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
-            became[j], removed[n_removed] = UNPAIRED, counted[ekf.IDS, j]
-            n_removed += 1
-        else:
-            became[j], kept[n_kept] = n_kept, j
-            n_kept += 1
-    ekf.keep(arrays, kept)
-    keep_nodes(neighbours, counts, degrees, n, kept)
-
-
-@compiled
 def fit_nothing(
     points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
 ) -> int:
     """Enter in `new` (m,) the unpaired measurements compatible with nothing; return one where S is singular, or −1."""
+    positions, covariances = expected
     for i in range(len(features)):
-        new[i] = False
-        if features[i] != UNPAIRED:
-            continue
-        fits = _fits(points[i], noise[i], expected, gate)
-        if fits < 0:
-            return i
-        new[i] = fits == 0
+        new[i] = features[i] == UNPAIRED
+        for j in range(len(positions) if features[i] == UNPAIRED else 0):
+            x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
+            xx, yy = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
+            # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
+            if x * x >= gate * xx or y * y >= gate * yy:
+                continue
+            xy = covariances[j, 0, 1] + noise[i, 0, 1]
+            determinant = xx * yy - xy * xy
+            if not determinant > 0.0:
+                return i
+            if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
+                new[i] = False
     return UNPAIRED
-
-
-@compiled
-def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float) -> int:
-    """1 if one of the features `expected` is individually compatible, 0 if none is, −1 where S is singular."""
-    (positions, covariances), fits = expected, 0
-    for j in range(len(positions)):
-        x, y = point[0] - positions[j, 0], point[1] - positions[j, 1]
-        xx, yy = covariances[j, 0, 0] + noise[0, 0], covariances[j, 1, 1] + noise[1, 1]
-        # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
-        if x * x >= gate * xx or y * y >= gate * yy:
-            continue
-        xy = covariances[j, 0, 1] + noise[0, 1]
-        determinant = xx * yy - xy * xy
-        if not determinant > 0.0:
-            return -1
-        if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
-            fits = 1
-    return fits

@@ -289,21 +289,15 @@ def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, p
 
 
 @compiled
-def range_along(grid: Grid, x: float, y: float, angle: float, max_range: float, movers: Movers) -> float:
-    """Range [m] from (x, y) along `angle` [rad] to the first surface, at most `max_range`."""
-    dx, dy = max_range * math.cos(angle), max_range * math.sin(angle)
-    t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, movers))
-    return max_range * min(t, 1.0)
-
-
-@compiled
 def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving: tuple[Array, Array]) -> Array:
     """See `WallIndex.cast`; `moving` are the arrays of `Movers`."""
     grid, x, y = Grid(*packed), origin[0], origin[1]
     movers = movers_near(x, y, max_range, Movers(*moving))
     ranges = np.empty(angles.shape[0])
     for b in range(angles.shape[0]):
-        ranges[b] = range_along(grid, x, y, angles[b], max_range, movers)
+        dx, dy = max_range * math.cos(angles[b]), max_range * math.sin(angles[b])
+        t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, movers))
+        ranges[b] = max_range * min(t, 1.0)
     return ranges
 
 

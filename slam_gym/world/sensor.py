@@ -27,7 +27,6 @@ from slam_gym.world.ray_casting import (
     cast,
     movers_near,
     pull_back,
-    range_along,
     sees,
 )
 
@@ -146,12 +145,9 @@ class Sensor:
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
         """Odometry, scan and beams of one tick, with the random numbers that the three methods would draw in turn."""
-        moving, out, buffers = (people, furniture), np.empty((4, 3)), self._buffers_in_sight(people)
-        wheels = (self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
-        k = _report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, buffers)
-        scan, truth, ranges = self._measured(pose, (k, *buffers), moving, self._bearings, rng)
-        beams = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
-        return Senses(Odometry(out[0], out[1:]), scan, truth, beams)
+        odometry = self.odometry(motion, rng)
+        scan, truth, ranges = self._measured(pose, (people, furniture), self._bearings, rng)
+        return Senses(odometry, scan, truth, Beams(self._bearings.copy(), ranges, self.beam_spec.range))
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -161,33 +157,24 @@ class Sensor:
         Furniture and people hide features, and a person is sometimes measured as a feature, at the near side. Neither
         order nor size reveals a spurious measurement, since its size is that of a random feature of the plan.
         """
-        moving, buffers = (people, furniture), self._buffers_in_sight(people)
-        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, buffers)
-        return self._measured(pose, (k, *buffers), moving, self._bearings[:0], rng)[:2]
+        return self._measured(pose, (people, furniture), self._bearings[:0], rng)[:2]
 
     def _measured(
-        self,
-        pose: Array,
-        seen: tuple[int, Array, IntArray],
-        moving: tuple[Array, Array],
-        bearings: Array,
-        rng: np.random.Generator,
+        self, pose: Array, moving: _Moving, bearings: Array, rng: np.random.Generator
     ) -> tuple[Scan, Truth, Array]:
-        """The scan of what is `seen` (see `_in_sight`), the truth behind it, and the ranges (b,) of beams."""
-        n, beams = seen[0] + rng.poisson(self.spec.clutter), len(bearings)  # n: most measurements that are possible
+        """A scan from `pose`, the truth behind it, and the ranges (b,) of beams."""
+        most = len(self._features) + len(moving[0])
+        polar, origins = np.empty((most, 2)), np.empty(most, np.int64)
+        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, (polar, origins))
+        n, beams = k + rng.poisson(self.spec.clutter), len(bearings)  # n: most measurements that are possible
         noise, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), np.empty(beams)
         buffers = _measurement_buffers(n)
         out = buffers, (bearings, self._finder, ranges)
-        m = _measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
+        m = _measure(self._walls, pose, (k, polar, origins), self._sizes, moving, noise, self._settings, out)
         points, covariances, sizes, size_variances, sources = buffers
         kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m]), ranges
-
-    def _buffers_in_sight(self, people: Array) -> tuple[Array, IntArray]:
-        """The arrays that `_in_sight` fills."""
-        most = len(self._features) + len(people)
-        return np.empty((most, 2)), np.empty(most, np.int64)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; kinds of spurious ones are drawn from the plan's features, if it has any."""
@@ -200,8 +187,9 @@ class Sensor:
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to the first surface, or the full range."""
-        noise, ranges = rng.standard_normal(self.beam_spec.count), np.empty(self.beam_spec.count)
-        _noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
+        noise, (reach, sigma) = rng.standard_normal(self.beam_spec.count), self._finder
+        free = cast(self._walls, pose, pose[2] + self._bearings, reach, (people, furniture))
+        ranges = np.where(free < reach, np.clip(free + sigma * noise, 0.0, reach), reach)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
@@ -290,17 +278,6 @@ _Finder = tuple[float, float]
 
 
 @compiled
-def _noisy_ranges(
-    walls: Packed, pose: Array, bearings: Array, finder: _Finder, moving: _Moving, noise: Array, out: Array
-) -> None:
-    """Write to `out` (b,) the ranges along `bearings`, with noise where something was hit, clipped to [0, reach]."""
-    reach, sigma = finder
-    free = cast(walls, pose, pose[2] + bearings, reach, moving)
-    for b in range(len(bearings)):
-        out[b] = min(max(free[b] + sigma * noise[b], 0.0), reach) if free[b] < reach else reach
-
-
-@compiled
 def _measure(
     walls: Packed,
     pose: Array,
@@ -315,11 +292,15 @@ def _measure(
 
     `seen` is the result of `_in_sight` and its arrays. `sizes` are the sizes of all features, from which sizes of
     spurious measurements are drawn. `noise` are uniform and normal random numbers: three of each for everything in
-    sight and for each piece of clutter, then normal ones for the beams. For the ranges in `out`, see `_noisy_ranges`.
+    sight and for each piece of clutter, then normal ones for the beams. The ranges along `bearings` have noise where
+    something was hit, and are clipped to [0, reach].
     """
-    grid, settings, movers = Grid(*walls), _Settings(*packed), Movers(*moving)
-    (k, polar, sources), (uniform, normal), (scan, (bearings, finder, ranges)) = seen, noise, out
-    _noisy_ranges(walls, pose, bearings, finder, moving, normal[len(uniform) :], ranges)
+    settings, (k, polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
+    scan, (bearings, (reach, sigma_of_beams), ranges) = out
+    clear = cast(walls, pose, pose[2] + bearings, reach, moving)
+    for b in range(len(bearings)):
+        echo = min(max(clear[b] + sigma_of_beams * normal[len(uniform) + b], 0.0), reach)
+        ranges[b] = echo if clear[b] < reach else reach
     draws = len(uniform) // 3
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
@@ -336,7 +317,7 @@ def _measure(
                 size = sizes[source]
         else:  # uniform over the thin sector from the nearest range to the first surface
             bearing = settings.field_of_view * (uniform[3 * i] - 0.5)
-            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, movers)
+            free = cast(walls, pose, np.array([pose[2] + bearing]), settings.range, moving)[0]
             low = settings.min_range**2
             distance = math.sqrt(low + uniform[3 * i + 1] * max(free * free - low, 0.0))
         measured[0, n], measured[1, n] = distance, bearing
@@ -404,18 +385,3 @@ def _report(packed: _PackedWheels, wheels: Array, contact: bool, noise: Array, o
         heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
     out[1:] = 0.0
     out[1, 0], out[2, 1], out[3, 2] = forward, lateral, heading
-
-
-@compiled
-def _report_and_in_sight(
-    wheels: tuple[_PackedWheels, Array, bool, Array, Array],
-    walls: Packed,
-    pose: Array,
-    features: tuple[Array, Array],
-    moving: _Moving,
-    packed: _PackedSettings,
-    out: tuple[Array, IntArray],
-) -> int:
-    """`_report` and `_in_sight` in one call from Python."""
-    _report(*wheels)
-    return _in_sight(walls, pose, features, moving, packed, out)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.envs.observation import GOAL_FIELDS, POINT_FIELDS, encode_goals, observe, squash, unsquash, unsquash_goals
+from slam_gym.association.walks import squash
+from slam_gym.envs.observation import GOAL_FIELDS, POINT_FIELDS, encode_goals, observe, unsquash, unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid

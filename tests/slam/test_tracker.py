@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.slam.tracker import Tracker
+from slam_gym.slam.relocate import Tracker
 from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, Scan
 
 FEATURES = 10

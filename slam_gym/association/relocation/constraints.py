@@ -63,27 +63,15 @@ def gates_at(confidence: float) -> Gates:
     return Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
 
 
-@compiled
 def measured(scan: ScanArrays, gates: Gates) -> Measured:
     """A scan with the distances between all measurements and the variances of these distances."""
-    points, noise, m = scan.points, scan.noise, len(scan.points)
-    distances, variances, spreads = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
-    for i in range(m):
-        for k in range(m):
-            x, y = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
-            xx, yy = noise[i, 0, 0] + noise[k, 0, 0], noise[i, 1, 1] + noise[k, 1, 1]
-            xy = noise[i, 0, 1] + noise[k, 0, 1]
-            square = x * x + y * y
-            distances[i, k], spreads[i, k] = math.sqrt(square), largest_eigenvalue(xx, xy, yy)
-            variances[i, k] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else spreads[i, k]
-    return Measured(points, noise, scan.sizes, scan.size_variances, scan.kinds, distances, variances, spreads, gates)
-
-
-@compiled
-def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
-    """The largest eigenvalue of a symmetric 2 × 2 matrix."""
-    half = 0.5 * (xx - yy)
-    return 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
+    x, y = (scan.points[None] - scan.points[:, None]).transpose(2, 0, 1)
+    (xx, xy), (_, yy) = (scan.noise[:, None] + scan.noise[None]).transpose(2, 3, 0, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        square, spreads = x * x + y * y, 0.5 * (xx + yy) + np.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)
+        along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / np.where(square > 0.0, square, 1.0)
+    variances = np.where(square > 0.0, along, spreads)
+    return Measured(*scan, np.sqrt(square), variances, spreads, gates)
 
 
 @compiled
@@ -123,14 +111,13 @@ def difference_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float,
 
 
 @compiled
-def unary_test(
-    size: float, variance: float, kind: int, mapped_size: float, mapped_variance: float, mapped_kind: int, gate: float
-) -> bool:
-    """`unary` for one measurement and one feature; gate χ²_1."""
-    if kind != mapped_kind and kind != UNKNOWN_KIND and mapped_kind != UNKNOWN_KIND:
-        return False
-    difference = size - mapped_size
-    return not difference * difference > gate * (variance + mapped_variance)  # NaN passes
+def difference_covariances(mapped: Mapped, first: IntArray, second: IntArray) -> Array:
+    """`difference_covariance` (k, 2, 2) [m²] of each feature of `first` (k,) and that of `second` (k,)."""
+    out = np.empty((len(first), 2, 2))
+    for k in range(len(first)):
+        xx, xy, yy = difference_covariance(mapped, first[k], second[k])
+        out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
+    return out
 
 
 @inlined
@@ -159,7 +146,8 @@ def binary_test(scan: Measured, mapped: Mapped, i: int, j: int, k: int, l: int) 
     if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], scan.gates.two):
         return False
     xx, xy, yy = difference_covariance(mapped, j, l)
-    widest = spread + max(largest_eigenvalue(xx, xy, yy), 0.0)
+    largest = 0.5 * (xx + yy) + math.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)  # the eigenvalue
+    widest = spread + max(largest, 0.0)
     if min(square, scan.distances[i, k] ** 2) < _CLOSE * widest:
         return bool(error * error < scan.gates.two * widest)
     variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
@@ -196,12 +184,11 @@ def orientation_test(scan: Measured, mapped: Mapped, ikp: tuple[int, int, int], 
     return bool((area_scan - area_map) ** 2 < scan.gates.one * (variance + max(map_variance, 0.0)))
 
 
-@compiled
 def unary_table(scan: ScanArrays, of_sizes: Array, of_variances: Array, of_kinds: IntArray, gate: float) -> BoolArray:
-    """`unary_test` of all measurements and features, (m, n)."""
-    sizes, variances, kinds = scan.sizes, scan.size_variances, scan.kinds
-    table = np.empty((len(sizes), len(of_sizes)), np.bool_)
-    for i in range(len(sizes)):
-        for j in range(len(of_sizes)):
-            table[i, j] = unary_test(sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate)
-    return table
+    """`unary` of all measurements and features, (m, n), for any attributes of features; gate χ²_1."""
+    kinds = scan.kinds[:, None]
+    may_be_same = (kinds == of_kinds) | (kinds == UNKNOWN_KIND) | (of_kinds == UNKNOWN_KIND)
+    with np.errstate(over="ignore", invalid="ignore"):
+        differences = scan.sizes[:, None] - of_sizes
+        differ = differences * differences > gate * (scan.size_variances[:, None] + of_variances)  # False for NaN
+    return np.asarray(may_be_same & ~differ)

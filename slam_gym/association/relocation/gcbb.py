@@ -65,19 +65,20 @@ def gcbb(
     problem = problem_of(scan, landmarks, locality, confidence)
     if outwards and len(scan):
         levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
-    best = _gcbb(problem, levels, node_limit, rivals)
+    best = nothing_found(len(scan))
+    _gcbb(problem, levels, node_limit, rivals, best)
     if min_pairings is None:
         min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 @compiled
-def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> Best:
-    """The search, where level l decides measurement levels[l].
+def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, best: Best) -> None:
+    """The search, where level l decides measurement levels[l]; its answer is entered in `best`.
 
     For each level: above is the number of pairings above it, tried the number of candidates tried.
     """
-    m, best, effort = len(levels), nothing_found(len(levels)), problem.effort
+    m, effort = len(levels), problem.effort
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     above, tried = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     level = 0
@@ -104,4 +105,3 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
             p += 1
         level += 1
         above[level], tried[level] = p, 0
-    return best

@@ -66,7 +66,6 @@ def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, conf
     )
 
 
-@compiled
 def nothing_found(measurements: int) -> Best:
     """An empty `Best`, which only hypotheses of more than one pairing can beat."""
     return Best(

@@ -67,17 +67,18 @@ def random_sampling(
     drawn = tries if m >= _SAMPLE else 0
     samples = np.array([rng.permutation(m)[:_SAMPLE] for _ in range(drawn)], np.int64).reshape(drawn, _SAMPLE)
     problem = problem_of(scan, landmarks, locality, confidence)
-    best = _random_sampling(problem, samples, node_limit)
+    best = nothing_found(m)
+    _random_sampling(problem, samples, node_limit, best)
     if min_pairings is None:
         min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 @compiled
-def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Best:
-    """The best hypothesis of all tries: each complete pairing of each sample is extended."""
+def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best: Best) -> None:
+    """Enter the hypotheses of all tries in `best`: each complete pairing of each sample is extended."""
     m, size, effort = len(problem.allowed), samples.shape[1], problem.effort
-    best, tried = nothing_found(m), np.zeros(size + 1, np.int64)
+    tried = np.zeros(size + 1, np.int64)
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     for sample in samples:
         effort[TRIES] += effort[LIMIT] == 0
@@ -99,7 +100,6 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Be
             path.measurements[p], path.features[p] = sample[p], feature
             p += 1
             tried[p] = 0
-    return best
 
 
 @compiled

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.constraints import Measured, Path, unary_test
+from slam_gym.association.relocation.constraints import Measured, Path
 from slam_gym.association.relocation.location import locate_pairings, place_of
 from slam_gym.association.relocation.problem import (
     BINARY,
@@ -32,9 +32,8 @@ from slam_gym.association.relocation.problem import (
     Problem,
     fewest,
     keep,
-    nothing_found,
 )
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 FAR = 255  # in the raster of distances: beyond its range
 _TURNS = 16  # rotations of a scan that are tried, to find narrower groups
@@ -100,16 +99,16 @@ class _Seed(NamedTuple):
 
 
 @compiled
-def search(table: TriangleHash, query: Query) -> Best:
-    """All hypotheses with the most pairings, at least one less than needed.
+def search(table: TriangleHash, query: Query, best: Best) -> None:
+    """Enter in `best` all hypotheses with the most pairings, at least one less than needed.
 
     The search ends with one pairing more than needed, once triples of the paired measurements have shown no other
     similar place. With exactly as many as needed, only hypotheses that the gates reject can be missing.
     """
-    scan, best = query.problem.scan, nothing_found(len(query.problem.scan.points))
+    scan = query.problem.scan
     best.state[0] = max(query.needed - 1, 3) - 1
     if len(scan.points) < max(query.needed, 3):
-        return best
+        return
     for triple in _triples(scan, np.arange(len(scan.points)), max((query.needed - 1) // 2, 1), table.reach):
         _try_triple(table, query, best, triple)
         if query.problem.effort[LIMIT] > 0 or best.state[0] > query.needed:
@@ -122,7 +121,6 @@ def search(table: TriangleHash, query: Query) -> Best:
             if fresh[triple].all() and query.problem.effort[LIMIT] == 0:
                 fresh[triple] = False
                 _try_triple(table, query, best, triple)
-    return best
 
 
 @compiled
@@ -277,7 +275,14 @@ def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners:
             break
         _locate_robot(seed, poses[:, t], located)
         k = _pair_at(table, query, located, triangles[t, 0], fewest(best, True), features, squares)
-        if k > 0 and _is_new_seed(query, best, corners, triangles[t]):
+        is_new = k > 0
+        for r in range(best.state[1]):  # a hypothesis kept may contain all three pairings already
+            if (best.features[r][corners] == triangles[t]).all():
+                is_new = False
+        for c in range(3):
+            if not _may_pair(problem, corners[c], triangles[t, c], triangles[t, 0]):
+                is_new = False
+        if is_new:
             problem.effort[LEAVES] += 1
             _examine(table, query, best, triangles[t, 0], located, k, features, squares)
     if problem.effort[NODES] > query.node_limit:
@@ -316,18 +321,6 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
         poses[0, t], poses[1, t] = (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0
         poses[2, t], poses[3, t] = cosine * scale, sine * scale
     return poses
-
-
-@inlined
-def _is_new_seed(query: Query, best: Best, corners: IntArray, features: Integers32) -> bool:
-    """Whether three pairings satisfy unary constraints and locality, and no hypothesis kept contains all of them."""
-    for k in range(3):
-        if not _may_pair(query.problem, corners[k], features[k], features[0]):
-            return False
-    kept = 0
-    for r in range(best.state[1]):
-        kept += (best.features[r][corners] == features).all()
-    return kept == 0
 
 
 @compiled
@@ -387,8 +380,10 @@ def _examine(
 def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
     """Whether a pairing satisfies the unary constraints and the locality of feature `anchor`."""
     scan, mapped = problem.scan, problem.mapped
-    measured = scan.sizes[i], scan.size_variances[i], scan.kinds[i]
-    if not unary_test(*measured, mapped.sizes[j], mapped.size_variances[j], mapped.kinds[j], scan.gates.one):
+    kind, of_feature, difference = scan.kinds[i], mapped.kinds[j], scan.sizes[i] - mapped.sizes[j]
+    if kind != of_feature and kind != UNKNOWN_KIND and of_feature != UNKNOWN_KIND:
+        return False
+    if difference * difference > scan.gates.one * (scan.size_variances[i] + mapped.size_variances[j]):  # NaN passes
         return False
     if len(problem.starts) == 0:
         return True

@@ -23,9 +23,9 @@ from slam_gym.association.acceptance import Crowding, crowding_of, least_pairing
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import difference_covariance, gates_at, measured
+from slam_gym.association.relocation.constraints import difference_covariances, gates_at, measured
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.problem import Problem, answer_of, location_gates
+from slam_gym.association.relocation.problem import Problem, answer_of, location_gates, nothing_found
 from slam_gym.association.relocation.triangle_search import (
     FAR,
     Bytes,
@@ -115,7 +115,8 @@ class FeatureIndex:
             *locality_arrays(locality, len(self)),
             np.zeros(8, np.int64),
         )
-        best = search(self._hash, Query(problem, min_pairings, node_limit))
+        best = nothing_found(len(scan))
+        search(self._hash, Query(problem, min_pairings, node_limit), best)
         answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
         if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
             located = locate(scan, self.landmarks, answer.features)
@@ -156,9 +157,9 @@ def relative_covariances(landmarks: Landmarks) -> Array:
     mapped, n = map_arrays(landmarks), len(landmarks)
     if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
         return mapped.covariances.copy()
-    near = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
-    differences = _differences(mapped, np.ascontiguousarray(near, np.int64))
-    half = 0.5 * differences.mean(axis=1)
+    near: IntArray = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
+    each = np.repeat(np.arange(n), near.shape[1])
+    half = 0.5 * difference_covariances(mapped, each, near.astype(np.int64).ravel()).reshape(n, -1, 2, 2).mean(axis=1)
     relative = 2.0 * half - half[near].mean(axis=1)
     # Where the neighbours are much less certain, C_j becomes too small or indefinite. Half of the mean over D_jl is
     # used instead, as if j and its neighbours were equally certain.
@@ -166,17 +167,6 @@ def relative_covariances(landmarks: Landmarks) -> Array:
     valid &= np.linalg.det(relative) > 0.0
     out: Array = np.where(valid[:, None, None], relative, half)
     out[:, [0, 1], [0, 1]] = np.maximum(out[:, [0, 1], [0, 1]], 0.0)
-    return out
-
-
-@compiled
-def _differences(mapped: Mapped, near: IntArray) -> Array:
-    """D_jl (n, k, 2, 2) [m²] of each feature and its neighbours (n, k)."""
-    out = np.empty((*near.shape, 2, 2))
-    for j in range(near.shape[0]):
-        for p in range(near.shape[1]):
-            xx, xy, yy = difference_covariance(mapped, j, near[j, p])
-            out[j, p, 0, 0], out[j, p, 0, 1], out[j, p, 1, 0], out[j, p, 1, 1] = xx, xy, xy, yy
     return out
 
 

@@ -33,8 +33,8 @@ from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
 from slam_gym.association.tracking.near_first import Spent
 from slam_gym.association.tracking.path import path_of, support_of
-from slam_gym.association.tree import Pairings, write_rows
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
+from slam_gym.association.tree import Pairings
+from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 
 UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
 SAME_VIEW = 0.1  # [m] hypotheses that differ by less share their visibilities
@@ -58,6 +58,7 @@ class Limits(NamedTuple):
     gate: float  # χ² of candidates
     width: int  # hypotheses kept at each level
     margin: float  # hypotheses that score this much less than the best are dropped
+    most: int  # candidates of each measurement, the nearest
 
 
 class ScanProblem(NamedTuple):
@@ -107,7 +108,11 @@ PosteriorFields = tuple[float, float, IntArray, float, Array, Array]
 """The fields of `Posterior`, as compiled code returns them."""
 
 
-def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float, int, float]:
+LimitFields = tuple[float, int, float, int]
+"""The fields of `Limits`, as compiled code takes them."""
+
+
+def limits_of(scan: Scan, prediction: Prediction, width: int, margin: float) -> LimitFields:
     """The fields of `Limits`. The confidence of the candidates' gate is ten times as close to 1 as that of the
     prediction, 0.999 for 0.99, since improbable pairings have a low density anyway. Raises ValueError for bounds out of
     range."""
@@ -115,19 +120,8 @@ def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float,
         raise ValueError(f"width: {width} is less than 1")
     if not margin > 0.0:
         raise ValueError(f"margin: {margin} is not positive")
-    return chi2_gate(2, 1.0 - 0.1 * (1.0 - prediction.confidence)), width, float(margin)
-
-
-@compiled
-def most_of_each(measurements: int) -> int:
-    """Number of nearest candidates that are kept for each of so many measurements."""
-    return max(MOST_CANDIDATES // max(measurements, 1), 1)
-
-
-@compiled
-def is_crowded(starts: IntArray, most: int) -> BoolArray:
-    """(l,) which measurements have so many candidates that some may have been dropped."""
-    return np.diff(starts) >= most
+    most = max(MOST_CANDIDATES // max(len(scan), 1), 1)
+    return chi2_gate(2, 1.0 - 0.1 * (1.0 - prediction.confidence)), width, float(margin), most
 
 
 @compiled
@@ -165,7 +159,8 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> SearchResu
         fit[b] -= (len(problem.levels) - paired) * prices.unpaired
         for q in range(pairings.fixed, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
-        write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
+        for c in beam.made[b, : beam.pairings[b]]:
+            decided[b, pairings.measured[c]] = rows[pairings.slots[c]]
     return SearchResult(beam, decided, fit, unpaired, nodes, tests, cut)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import NO_FAULT, joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_finished, offer
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, offer
 from slam_gym.association.tree import (
     Pairings,
     condition,
@@ -25,7 +25,6 @@ from slam_gym.association.tree import (
     read,
     squared,
     store,
-    write_rows,
 )
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan, ScanArrays
 
@@ -56,8 +55,8 @@ def check_node_limit(node_limit: int) -> None:
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rows, distance, spent, fault = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), NO_FAULT
-    for search in range(2):
-        offered = offer(scan, expected, rows, search == 0, gates[1], len(expected.features))
+    for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
+        offered = offer(scan, prediction, rows, search == 0, gates[1], len(expected.features))
         fault, best = offered.fault, _Best(distance, 0, 0, False)
         if fault[0] == 0 and len(offered.pairings.slots) > offered.pairings.fixed:
             best = branch_and_bound(offered.pairings, offered.rows, gates, node_limit, rows)
@@ -68,7 +67,7 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
             spent.joint_tests + best.tests,
             spent.limit_hit or best.limit_hit,
         )
-        if fault[0] != 0 or is_finished(expected, rows):
+        if fault[0] != 0 or not (rows == UNPAIRED).any():
             break
     return decided(expected, rows, distance, spent, fault)
 
@@ -146,7 +145,8 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
             best, best_distance = p, distances[p]
             for q in range(p):
                 best_path[q] = path[q]
-    write_rows(pairings, best_path[:best], rows, out)
+    for c in best_path[:best]:
+        out[measured[c]] = rows[pairings.slots[c]]
     return _Best(best_distance, nodes, tests, limit_hit)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import Fault, check_fault
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
-from slam_gym.association.tracking.hypotheses import Limits, limits_of, scan_area, weighed
+from slam_gym.association.tracking.hypotheses import LimitFields, Limits, limits_of, scan_area, weighed
 from slam_gym.association.tracking.marginal import (
     HeadingSearch,
     Prior,
@@ -26,7 +26,6 @@ from slam_gym.association.tracking.marginal import (
     prices_of,
     prior_of,
     problem_of,
-    run_of,
     search_all,
 )
 from slam_gym.association.tracking.network import INPUTS, VERSION, inputs_of, load_network
@@ -73,7 +72,7 @@ class Example(NamedTuple):
 
 def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
     """The search of each narrow heading. Raises ValueError as `check_fault`."""
-    prior, limits = prior_of(prediction.experience), limits_of(prediction, width, margin)
+    prior, limits = prior_of(prediction.experience), limits_of(scan, prediction, width, margin)
     out: list[Example] = []
     count = 1
     while len(out) < count:
@@ -88,17 +87,17 @@ def _example(
     scan: ScanArrays,
     prediction: PredictionArrays,
     prior_arrays: PriorArrays,
-    limit_arrays: tuple[float, int, float],
+    limit_fields: LimitFields,
     number: int,
 ) -> tuple[Example, int, Fault]:
     """The example of one narrow heading, by its number, and how many headings there are."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    prior, limits = Prior(*prior_arrays), Limits(*limit_arrays)
+    prior, limits = Prior(*prior_arrays), Limits(*limit_fields)
     m, area = len(scan[0]), scan_area(scan[0])
-    headings, fault = headings_of(scan, expected, prior, area, limits.gate, True)
+    headings, fault = headings_of(scan, expected, prior, area, limits, True)
     heading = headings[number]
     problem = problem_of(heading, scan, expected, limits.gate)
-    inputs = inputs_of(scan, problem, expected, run_of(prior))
+    inputs = inputs_of(scan, problem, expected, prior.run)
     search = HeadingSearch(problem, heading.candidates.tests, np.empty(0), limits.margin)
     kept = search_all([search], m, expected, prior, limits, prices_of(prior, area, m))
     scores = weighed(kept, prior.detections, len(expected.features)).scores

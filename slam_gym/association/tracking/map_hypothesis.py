@@ -17,22 +17,21 @@ from slam_gym.association.tracking.headings import whole
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
     Hypotheses,
+    LimitFields,
     Limits,
     PosteriorFields,
     Rates,
     ScanProblem,
     SearchResult,
     affordable,
-    is_crowded,
     levels_of,
     limits_of,
-    most_of_each,
     posterior_of,
     search_tree,
     weighed,
     weighed_by_view,
 )
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_finished, joint_distance_of, offer
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of, offer
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Posterior, Scan, ScanArrays
 
 _CLOSE = 1.0 / 3.0  # of the margin: hypotheses this close to the best, in log density, get a view of their own
@@ -67,7 +66,7 @@ def map_hypothesis(
         raise ValueError(f"detection: {detection} is not between 0 and 1")
     if not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
-    limits = limits_of(prediction, width, margin)
+    limits = limits_of(scan, prediction, width, margin)
     answer, posterior = _decide(scan.arrays, prediction.arrays, (float(detection), float(density)), limits)
     return answer.hypothesis(posterior=Posterior(*posterior))
 
@@ -77,30 +76,30 @@ def _decide(
     scan: ScanArrays,
     prediction: PredictionArrays,
     rate_fields: tuple[float, float],
-    limit_fields: tuple[float, int, float],
+    limit_fields: LimitFields,
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rates, limits, m = Rates(*rate_fields), Limits(*limit_fields), len(scan[0])
-    rows, spent, fault, most = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT, most_of_each(m)
+    rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
     posterior, part = (0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
     visible = visibility(expected, part.positions, part.covariances)[0]
-    for search in range(2):
-        offered = offer(scan, expected, rows, search == 0, limits.gate, most)
+    for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
+        offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
         fault, tests = offered.fault, spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if fault[0] == 0 and (search == 0 or len(offered.pairings.slots) > offered.pairings.fixed):
             levels = levels_of(offered.pairings, offered.starts, limits.gate)
             problem = ScanProblem(part, offered.pairings, offered.starts, levels, offered.rows, visible, rates)
             width = affordable(limits.width, [problem])
-            searched = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin))
-            limit_hit = spent.limit_hit or searched.cut or bool(is_crowded(offered.starts, most).any())
+            searched = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin, limits.most))
+            limit_hit = spent.limit_hit or searched.cut or bool((np.diff(offered.starts) >= limits.most).any())
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
             fit = searched.fit + math.log(rates.density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
             sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
             rows[:] = searched.rows[np.argmax(sums.scores)]
             posterior = posterior_of(expected, searched.rows, sums, rows)
-        if fault[0] != 0 or is_finished(expected, rows):
+        if fault[0] != 0 or not (rows == UNPAIRED).any():
             break
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, fault), posterior
 

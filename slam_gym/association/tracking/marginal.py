@@ -38,16 +38,15 @@ from slam_gym.association.tracking.headings import Part, joint_in, parts_of
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
     Hypotheses,
+    LimitFields,
     Limits,
     PosteriorFields,
     Rates,
     ScanProblem,
     SearchResult,
     affordable,
-    is_crowded,
     levels_of,
     limits_of,
-    most_of_each,
     posterior_of,
     scan_area,
     search_tree,
@@ -57,7 +56,7 @@ from slam_gym.association.tracking.hypotheses import (
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
 from slam_gym.association.tracking.network import NO_NETWORK, Network, inputs_of, log_odds
 from slam_gym.association.tree import Pairings
-from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, IntArray, Posterior, Scan, ScanArrays
+from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, Posterior, Scan, ScanArrays
 
 DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
 """Candidate values of P_D, weighted by their posterior."""
@@ -145,7 +144,7 @@ def _search(
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
-    limits, prior = limits_of(prediction, width, margin), prior_of(prediction.experience)
+    limits, prior = limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
     results: tuple[Decided, MarginalFields, PosteriorFields]
     results = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
     return results
@@ -158,16 +157,18 @@ class Prior(NamedTuple):
     area: float  # [m²] b, without this scan
     values: Array  # (d,) candidate values of P_D
     detections: Array  # (d,) their log weights
-    scans: bool  # whether the run has earlier scans
+    run: tuple[float, float]  # log λ before this scan; 1 where the run has earlier scans: inputs of the network
 
 
-PriorArrays = tuple[float, float, Array, Array, bool]
+PriorArrays = tuple[float, float, Array, Array, tuple[float, float]]
 
 
 def prior_of(experience: Experience | None) -> PriorArrays:
     """The prior after the experience of a run."""
     past = experience or NOTHING_SEEN
-    return UNPAIRED_BEFORE + past.unpaired, AREA + past.area, DETECTIONS, past.detections, experience is not None
+    unpaired, area = UNPAIRED_BEFORE + past.unpaired, AREA + past.area
+    run = math.log(unpaired / area), float(experience is not None)
+    return unpaired, area, DETECTIONS, past.detections, run
 
 
 class HeadingCandidates(NamedTuple):
@@ -195,7 +196,7 @@ def _decide(
     prediction: PredictionArrays,
     prior_arrays: PriorArrays,
     rule: tuple[float, float, int],
-    limit_fields: tuple[float, int, float],
+    limit_fields: LimitFields,
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
 ) -> tuple[Decided, MarginalFields, PosteriorFields]:
     """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
@@ -205,7 +206,7 @@ def _decide(
     threshold, provisional, confirmations = rule
     m, area = len(scan[0]), scan_area(scan[0])
     rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
-    headings, fault = headings_of(scan, expected, prior, area, limits.gate, len(network.centre) > 0)
+    headings, fault = headings_of(scan, expected, prior, area, limits, len(network.centre) > 0)
     if fault[0] != 0:
         nothing = np.empty(m)
         refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
@@ -216,9 +217,9 @@ def _decide(
         )
     searches = _promising(headings, scan, expected, prior, limits, prices, network)
     kept = search_all(searches, m, expected, prior, limits, prices)
-    crowded, most = np.zeros(m, np.bool_), most_of_each(m)
+    crowded = np.zeros(m, np.bool_)  # measurements with so many candidates that some may have been dropped
     for heading in headings:
-        crowded |= is_crowded(heading.candidates.starts, most)
+        crowded |= np.diff(heading.candidates.starts) >= limits.most
     sums = weighed(kept, prior.detections, len(expected.features))
     for i in range(m):
         for j in range(len(expected.features)):
@@ -243,7 +244,7 @@ def prices_of(prior: Prior, area: float, m: int) -> Array:
 
 @compiled
 def headings_of(
-    scan: ScanArrays, expected: Expected, prior: Prior, area: float, gate: float, learned: bool
+    scan: ScanArrays, expected: Expected, prior: Prior, area: float, limits: Limits, learned: bool
 ) -> tuple[list[HeadingCandidates], Fault]:
     """The candidates in every narrow heading; and a fault.
 
@@ -256,28 +257,21 @@ def headings_of(
     headings: list[HeadingCandidates] = []
     for part in parts_of(expected):
         part_fault, candidates = gate_pairings(
-            points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_), gate,
-            most_of_each(len(points)),
+            points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_),
+            limits.gate, limits.most,
         )  # fmt: skip
         if part_fault[0] != 0:
             fault = part_fault
         unmatched = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
         rates, bound = Rates(detection, (prior.unpaired + unmatched) / (prior.area + area)), math.inf
-        if not learned:
-            bound = part.log_weight + _greatest_score(noise, candidates.starts, rates)
+        if not learned:  # each measurement takes its best choice, in view and without error
+            gain, unpaired, total = math.log(detection) - math.log1p(-detection), math.log(rates.density), 0.0
+            for i in range(len(points)):
+                if candidates.starts[i + 1] > candidates.starts[i]:
+                    total += max(unpaired, gain + greatest_log_density(noise[i]))
+            bound = part.log_weight + total
         headings.append(HeadingCandidates(part, candidates, unmatched, rates, bound))
     return headings, fault
-
-
-@compiled
-def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
-    """Upper bound of the score of a hypothesis: each measurement takes its best choice, in view and without error."""
-    gain, unpaired = math.log(rates.detection) - math.log1p(-rates.detection), math.log(rates.density)
-    total = 0.0
-    for i in range(len(starts) - 1):
-        if starts[i + 1] > starts[i]:
-            total += max(unpaired, gain + greatest_log_density(noise[i]))
-    return total
 
 
 @compiled
@@ -291,12 +285,6 @@ def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected,
     )
     levels = levels_of(pairings, candidates.starts, gate)
     return ScanProblem(part, pairings, candidates.starts, levels, candidates.rows, visible, heading.rates)
-
-
-@compiled
-def run_of(prior: Prior) -> tuple[float, float]:
-    """Network inputs about the run: log density of measurements of nothing in the map; whether there were scans."""
-    return math.log(prior.unpaired / prior.area), 1.0 if prior.scans else 0.0
 
 
 @compiled
@@ -321,12 +309,12 @@ def _promising(
             break
         problem, odds = problem_of(heading, scan, expected, limits.gate), np.empty(0)
         if len(network.centre) > 0:
-            inputs = inputs_of(scan, problem, expected, run_of(prior))
+            inputs = inputs_of(scan, problem, expected, prior.run)
             odds = log_odds(network, inputs, heading.candidates.measured, heading.candidates.slots)
         trials.append(HeadingSearch(problem, heading.candidates.tests, odds, margin))
         if len(headings) == 1:
             return trials
-        searched = search_tree(problem, odds, Limits(limits.gate, _TRIAL_WIDTH, margin))
+        searched = search_tree(problem, odds, Limits(limits.gate, _TRIAL_WIDTH, margin, limits.most))
         score[n] = heading.part.log_weight + searched.beam.score.max()
         behind[n] = -(heading.part.log_weight + _greatest_density(searched, heading, prices, problem.visible))
         best = max(best, score[n])
@@ -362,7 +350,7 @@ def search_all(
     results: list[SearchResult] = []
     width = affordable(limits.width, [search.problem for search in searches])
     for search in searches:
-        result = search_tree(search.problem, search.odds, Limits(limits.gate, width, search.margin))
+        result = search_tree(search.problem, search.odds, Limits(limits.gate, width, search.margin, limits.most))
         results.append(result)
         nodes, tests, joint_tests = nodes + result.nodes, tests + search.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)

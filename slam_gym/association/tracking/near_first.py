@@ -16,8 +16,9 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import NO_FAULT, Fault, check_fault, chi2_gate, gate_pairings
-from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint, local
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint
 from slam_gym.association.tree import Pairings
+from slam_gym.mapping.covisibility import among
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Scan, ScanArrays
 
 
@@ -56,9 +57,10 @@ class Decided(NamedTuple):
 
 
 @compiled
-def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate: float, most: int) -> Offer:
+def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float, most: int) -> Offer:
     """The pairings open to measurements that `rows` (m,) leaves UNPAIRED: with features that are `near`, or with the
     others, the `most` nearest of each measurement."""
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
     points, noise = scan[0], scan[1]
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
@@ -69,22 +71,19 @@ def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate
     paired = np.flatnonzero(rows != UNPAIRED)
     fixed = rows[paired]
     offered = np.concatenate((fixed, candidates.rows))
+    local = np.empty((0, 0), np.bool_)
+    if not near:
+        local = among(expected.neighbours, expected.degrees, expected.n, expected.features[offered])
     pairings = Pairings(
         np.concatenate((np.arange(len(fixed)), candidates.slots + len(fixed))),
         np.concatenate((paired, candidates.measured)),
         np.concatenate((points[paired] - expected.positions[fixed], candidates.innovations)),
         noise,
         joint(expected, offered),
-        np.empty((0, 0), np.bool_) if near else local(expected, offered),
+        local,
         len(fixed),
     )
     return Offer(pairings, candidates.starts, offered, candidates.tests, fault)
-
-
-@compiled
-def is_finished(expected: Expected, rows: IntArray) -> bool:
-    """Whether no second search is needed."""
-    return bool(len(expected.neighbours) == 0 or expected.near.all() or not (rows == UNPAIRED).any())
 
 
 @compiled
@@ -135,13 +134,6 @@ def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
 
 
-@compiled
-def _offer_to(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float) -> Offer:
-    """`offer`, to be called from Python."""
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
-    return offer(scan, expected, rows, near, gate, len(expected.features))
-
-
 def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort]) -> Hypothesis:
     """The hypothesis of a `search` written in Python, which writes its pairings to `rows` (m,) of the prediction.
 
@@ -150,7 +142,7 @@ def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntA
     rows, effort = np.full(len(scan), UNPAIRED), Effort()
     gate = chi2_gate(2, prediction.confidence)
     for near in (True, False):
-        offered = _offer_to(scan.arrays, prediction.arrays, rows, near, gate)
+        offered = offer(scan.arrays, prediction.arrays, rows, near, gate, len(prediction))
         check_fault(offered.fault)
         effort = _combined(effort, Effort(individual_tests=offered.tests))
         if len(offered.pairings.slots) > offered.pairings.fixed:
