@@ -42,7 +42,7 @@ class CovisibilityGraph:
         return self._neighbours, self._counts, self._degrees
 
     def learned(self, created: int) -> None:
-        """Register that a compiled step has added `created` nodes to the arrays."""
+        """Register that a compiled step has added `created` nodes to the arrays, or removed −`created`."""
         self.n += created
 
     def make_room(self, more: int) -> None:

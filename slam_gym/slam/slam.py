@@ -35,6 +35,7 @@ from slam_gym.slam.step import (
     NOT_ADDED,
     REFUSED,
     Settings,
+    forget,
     learn,
     predict,
 )
@@ -193,7 +194,7 @@ class Slam:
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        removed = self._forget() if detail else _NO_FEATURES
+        removed = self._forget(detail) if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
@@ -261,8 +262,7 @@ class Slam:
         m, rows, pose = self.map, rows_for(self.map.n), np.empty(4)
         motion, measured, reach = (odometry.motion, odometry.covariance), (scan.points, scan.covariances), self.reach
         if self.spec.reach is None:
-            with np.errstate(invalid="ignore", over="ignore"):  # a bad scan is refused below
-                reach = max(reach, _farthest(*measured, 3.0))
+            reach = max(reach, _farthest(*measured))
         rule = reach, m.spec.second_order, self._gate, most_accidental
         locality = (*local_arrays(self.covisibility if self.spec.locality else None), self._recent.ravel())
         k = predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
@@ -316,7 +316,10 @@ class Slam:
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""
-        beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
+        beyond = 0.0
+        for i in [] if self._warned else new.nonzero()[0].tolist():
+            sigma = math.sqrt(scan.covariances.item(i, 0, 0) + scan.covariances.item(i, 1, 1))
+            beyond = max(beyond, math.hypot(scan.points.item(i, 0), scan.points.item(i, 1)) - 6.0 * sigma)
         if beyond <= reach:
             return
         self._warned = True
@@ -326,15 +329,14 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self) -> IntArray:
-        """Remove the features that were not confirmed in time, renumber everything indexed by feature, and return the
-        ids removed."""
-        m = self.map
-        *_, before = self._settings()
-        due, became = np.flatnonzero(m.provisional & (m.first_seen < before)), np.full(m.n, UNPAIRED)
-        removed, kept = m.ids[due], m.remove(due)
-        self.covisibility.keep(kept)
-        became[kept] = np.arange(len(kept))
+    def _forget(self, due: int) -> IntArray:
+        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
+        m, graph = self.map, self.covisibility
+        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
+        *_, confirmations, before = self._settings()
+        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
+        m.learned(-due)
+        graph.learned(-due)
         self._renumber(became)
         return removed
 
@@ -345,8 +347,9 @@ class Slam:
             self.tracker.renumber(became)
 
 
-def _farthest(points: Array, covariances: Array, sigmas: float) -> float:
-    """[m] The greatest ‖z‖ + `sigmas` · σ of measurements (m,), at least 0; σ² is the trace of the covariance."""
-    sigma = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
-    distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + sigmas * sigma
+def _farthest(points: Array, covariances: Array) -> float:
+    """[m] The greatest ‖z‖ + 3σ of measurements (m,), at least 0; σ² is the trace of the covariance."""
+    with np.errstate(invalid="ignore", over="ignore"):  # of a scan that will be refused
+        sigma = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+        distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + 3.0 * sigma
     return float(distances.max(initial=0.0))

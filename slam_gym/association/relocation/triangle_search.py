@@ -269,18 +269,22 @@ def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners:
     problem.effort[NODES] += len(triangles)
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
     unmatched, m = _count_unmatched(table.raster, seed, poses), len(problem.scan.points)
-    located, features, squares = (np.empty(3), np.empty((3, 3))), np.empty(m, np.int64), np.empty(m)
+    pose, P, features, squares = np.empty(3), np.empty((3, 3)), np.empty(m, np.int64), np.empty(m)
+    located, (x, y), (v, w) = (pose, P), seed.centroid, seed.variances
     for t in np.flatnonzero(unmatched <= m - fewest(best, True)):
         if problem.effort[NODES] > query.node_limit:
             break
-        _locate_robot(seed, poses[:, t], located)
+        c, s = poses[2, t], poses[3, t]
+        lx, ly = c * x - s * y, s * x + c * y
+        pose[0], pose[1], pose[2] = poses[0, t] - lx, poses[1, t] - ly, math.atan2(s, c)  # of the robot
+        P[0, 0], P[1, 1], P[2, 2], P[0, 1] = v + ly * ly * w, v + lx * lx * w, w, -lx * ly * w
+        P[0, 2], P[1, 2], P[1, 0], P[2, 0], P[2, 1] = ly * w, -lx * w, P[0, 1], ly * w, -lx * w
         k = _pair_at(table, query, located, triangles[t, 0], fewest(best, True), features, squares)
         is_new = k > 0
-        for r in range(best.state[1]):  # a hypothesis kept may contain all three pairings already
+        for corner in range(3):
+            is_new = is_new and _may_pair(problem, corners[corner], triangles[t, corner], triangles[t, 0])
+        for r in range(best.state[1] if is_new else 0):  # a hypothesis kept may contain all three pairings already
             if (best.features[r][corners] == triangles[t]).all():
-                is_new = False
-        for c in range(3):
-            if not _may_pair(problem, corners[c], triangles[t, c], triangles[t, 0]):
                 is_new = False
         if is_new:
             problem.effort[LEAVES] += 1
@@ -321,16 +325,6 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
         poses[0, t], poses[1, t] = (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0
         poses[2, t], poses[3, t] = cosine * scale, sine * scale
     return poses
-
-
-@compiled
-def _locate_robot(seed: _Seed, implied: Array, located: tuple[Array, Array]) -> None:
-    """Write the pose (3,) of the robot and its covariance (3, 3), from a pose (4,) of the centroid of a seed."""
-    (x, y), (v, w), c, s, (pose, P) = seed.centroid, seed.variances, implied[2], implied[3], located
-    lx, ly = c * x - s * y, s * x + c * y
-    pose[0], pose[1], pose[2] = implied[0] - lx, implied[1] - ly, math.atan2(s, c)
-    P[0, 0], P[1, 1], P[2, 2], P[0, 1] = v + ly * ly * w, v + lx * lx * w, w, -lx * ly * w
-    P[0, 2], P[1, 2], P[1, 0], P[2, 0], P[2, 1] = ly * w, -lx * w, P[0, 1], ly * w, -lx * w
 
 
 @compiled

@@ -43,18 +43,11 @@ class Part(NamedTuple):
 
 
 @compiled
-def whole(expected: Expected) -> Part:
-    """The prediction as a single part, whose heading is treated as narrow."""
-    variance, unsplit = expected.pose[3], np.empty((0, 0))
-    return Part(0.0, variance, expected.positions, expected.covariances, 0.0, expected.across, unsplit)
-
-
-@compiled
 def parts_of(expected: Expected) -> list[Part]:
     """The narrow headings of a prediction; a single part, the prediction itself, where the heading is well known."""
     positions, k, sigma2 = expected.positions, len(expected.positions), expected.pose[3]
     if not math.sqrt(max(sigma2, 0.0)) > _WIDE or k == 0:
-        return [whole(expected)]
+        return [Part(0.0, sigma2, positions, expected.covariances, 0.0, expected.across, np.empty((0, 0)))]
     conditional, slope = joint(expected, np.arange(k)), expected.across / sigma2
     slopes, row = slope.copy().reshape(2 * k), np.empty(1, np.int64)
     for i in range(2 * k):

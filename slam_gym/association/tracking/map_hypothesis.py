@@ -13,7 +13,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.compatibility import NO_FAULT
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
 from slam_gym.association.tracking.beam import Beam
-from slam_gym.association.tracking.headings import whole
+from slam_gym.association.tracking.headings import Part
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
     Hypotheses,
@@ -81,8 +81,10 @@ def _decide(
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rates, limits, m = Rates(*rate_fields), Limits(*limit_fields), len(scan[0])
     rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
-    posterior, part = (0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
-    visible = visibility(expected, part.positions, part.covariances)[0]
+    posterior = 0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)
+    positions, covariances = expected.positions, expected.covariances
+    part = Part(0.0, expected.pose[3], positions, covariances, 0.0, expected.across, np.empty((0, 0)))  # all headings
+    visible = visibility(expected, positions, covariances)[0]
     for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
         fault, tests = offered.fault, spent.individual_tests + offered.tests
