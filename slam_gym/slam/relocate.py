@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association import RELOCATORS, resolve_relocator
+from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
 from slam_gym.association.acceptance import min_pairings
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -19,6 +19,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Locality, Relocation, Relocator, Scan
 
+_ACCIDENTAL = 0.02  # by the rule of the searches themselves
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
 _EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
@@ -182,7 +183,8 @@ def relocate_by(
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
     find = resolve_relocator(search)
-    is_built_in = any(find is known for known in RELOCATORS.values())
+    is_built_in, most = any(find is known for known in RELOCATORS.values()), min(probability, _ACCIDENTAL)
+    prunes = find in (gcbb, max_clique, random_sampling)
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
 
@@ -191,11 +193,12 @@ def relocate_by(
     ) -> Relocation | None:
         landmarks = m.landmarks()
         local_to = locality_of(graph, m.positions, reach, locality)
-        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to)
-        if not found.accepted or found.pairings < min_pairings(scan, landmarks, probability=probability):
+        needed = max(min_pairings(scan, landmarks, probability=most), math.ceil(_EXPLAINED * len(scan)))
+        told = {"min_pairings": needed} if prunes else {}  # it need not look for fewer
+        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **told)
+        if not found.accepted or found.pairings < needed:
             return None
-        explains = found.pairings >= _EXPLAINED * len(scan)
-        return found if explains and (view_from is None or _shows(found, m, reach, view_from)) else None
+        return found if view_from is None or _shows(found, m, reach, view_from) else None
 
     return relocate
 

@@ -54,28 +54,31 @@ def max_clique(
 
     A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. At most 20 000
     maximal cliques are enumerated, and at most 256 of the largest of these are tested. After `LOCATION_LIMIT` joint
-    tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. Raises ValueError as
-    `gcbb` does.
+    tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. `min_pairings` as for
+    `gcbb`, which also says what is raised.
     """
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     nodes, edges = _consistent(problem, node_limit)
-    cliques, complete = largest_cliques(edges)
+    best = nothing_found(len(scan), min_pairings)
+    cliques, complete = largest_cliques(edges, fewest(best, True))
     if not complete:
         problem.effort[LIMIT] = 1
-    best = _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques])
+    _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
     if min_pairings is None:
         min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
-def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
-    """The largest cliques (k, size) found in a graph of edges (e, 2), and whether these are all of them."""
-    if not len(edges):
-        return np.empty((0, 0), np.int64), True
-    maximal = nx.find_cliques(nx.Graph(edges.tolist()))
+def largest_cliques(edges: IntArray, least: int = 2) -> tuple[IntArray, bool]:
+    """The largest cliques (k, size) found in a graph of edges (e, 2), of at least `least` ≥ 2 nodes, and whether these
+    are all of them."""
+    graph = nx.k_core(nx.Graph(edges.tolist()), least - 1)  # a node of such a clique has as many neighbours
+    maximal = nx.find_cliques(graph)
     enumerated = list(itertools.islice(maximal, _MAXIMAL))
     complete = next(maximal, None) is None
-    size = max(map(len, enumerated))
+    size = max(map(len, enumerated), default=0)
+    if size < least:
+        return np.empty((0, 0), np.int64), complete
     largest = [clique for clique in enumerated if len(clique) == size]
     return np.array(largest[:_CLIQUES], np.int64), complete and len(largest) <= _CLIQUES
 
@@ -101,9 +104,8 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
     return nodes, no_edges if effort[LIMIT] else np.concatenate(edges)
 
 
-def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
-    """The best of the hypotheses; if none is jointly compatible, of those that remain after dropping pairings."""
-    best = nothing_found(len(problem.allowed))
+def _best_of(problem: Problem, hypotheses: list[Path], best: Best) -> None:
+    """Enter the hypotheses in `best`; if none is jointly compatible, those that remain after dropping pairings."""
     for path in hypotheses:
         problem.effort[LEAVES] += 1
         offer(best, problem, path, len(path.features))
@@ -113,7 +115,6 @@ def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
             break
         while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
             path = _without_worst(problem, path)
-    return best
 
 
 def _without_worst(problem: Problem, path: Path) -> Path:

@@ -55,9 +55,9 @@ def gcbb(
     Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
     come from a feature that was seen together with those of all others, so that a strict locality loses less.
 
-    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `LOCATION_LIMIT` ends the search,
-    `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
-    map, and for a locality of another map.
+    `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is looked for. Where `node_limit` or
+    `LOCATION_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so far is returned. Raises
+    ValueError for bad numbers in scan or map, and for a locality of another map.
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
@@ -65,7 +65,7 @@ def gcbb(
     problem = problem_of(scan, landmarks, locality, confidence)
     if outwards and len(scan):
         levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
-    best = nothing_found(len(scan))
+    best = nothing_found(len(scan), min_pairings)
     _gcbb(problem, levels, node_limit, rivals, best)
     if min_pairings is None:
         min_pairings = required_pairings(scan, landmarks, confidence=confidence)

@@ -66,14 +66,14 @@ def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, conf
     )
 
 
-def nothing_found(measurements: int) -> Best:
-    """An empty `Best`, which only hypotheses of more than one pairing can beat."""
+def nothing_found(measurements: int, least: int | None = None) -> Best:
+    """An empty `Best`, which only hypotheses of at least two pairings, and of at least `least`, can beat."""
     return Best(
         np.full((_RIVALS, measurements), UNPAIRED),
         np.empty((_RIVALS, 3)),
         np.empty((_RIVALS, 3, 3)),
         np.empty(_RIVALS),
-        np.array([1, 0, 0]),
+        np.array([max(least or 2, 2) - 1, 0, 0]),
     )
 
 

@@ -56,10 +56,10 @@ def random_sampling(
 
     All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
     of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
-    generator to draw them from. `min_pairings` replaces the rule of `acceptance`. Where `node_limit`, which bounds the
-    nodes of all trees together, or `LOCATION_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis
-    so far is returned. Raises ValueError for bad numbers in scan or map, for a locality of another map, and for
-    settings out of range.
+    generator to draw them from. `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is
+    looked for. Where `node_limit`, which bounds the nodes of all trees together, or `LOCATION_LIMIT` ends the search,
+    `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
+    map, for a locality of another map, and for settings out of range.
     """
     if tries < 1 or node_limit < 1:
         raise ValueError(f"tries {tries}, node_limit {node_limit}: expected at least 1")
@@ -67,7 +67,7 @@ def random_sampling(
     drawn = tries if m >= _SAMPLE else 0
     samples = np.array([rng.permutation(m)[:_SAMPLE] for _ in range(drawn)], np.int64).reshape(drawn, _SAMPLE)
     problem = problem_of(scan, landmarks, locality, confidence)
-    best = nothing_found(m)
+    best = nothing_found(m, min_pairings)
     _random_sampling(problem, samples, node_limit, best)
     if min_pairings is None:
         min_pairings = required_pairings(scan, landmarks, confidence=confidence)
