@@ -34,8 +34,7 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "commands": {"__init__", "association", "doctor", "recordings", "scenarios"},
-    "doctor": {"__init__", "_jit", "recordings"},
+    "commands": {"__init__", "_jit", "association", "recordings", "scenarios"},
     "__init__": SIMULATION,
 }
 """The rooms that each room may import from, besides itself: always those below it."""

@@ -12,7 +12,7 @@ import typer
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 import slam_gym
-from slam_gym import commands, doctor
+from slam_gym import commands
 from tests.agents import typed
 
 
@@ -87,16 +87,16 @@ def test_it_runs_in_a_folder_without_agents(tmp_path):
 
 
 def test_versions_are_those_installed_and_what_is_missing_is_told_with_its_extra(monkeypatch):
-    known = doctor.version
+    known = commands.version
 
     def without_torch(name):
         if name == "torch":
             raise PackageNotFoundError(name)
         return known(name)
 
-    monkeypatch.setattr(doctor, "version", without_torch)
+    monkeypatch.setattr(commands, "version", without_torch)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "nowhere")  # counting what is cached takes seconds where there is much
-    lines = list(doctor.report())
+    lines = list(commands.report())
     packages = {words[0]: " ".join(words[1:]) for line in lines if line.startswith("  ") and (words := line.split())}
     assert packages["numpy"] == np.__version__
     assert "torch" not in packages and "slam_gym" not in packages
@@ -108,14 +108,14 @@ def test_it_tells_where_recordings_are_looked_for(monkeypatch, tmp_path):
     (tmp_path / "mrclam").mkdir()
     monkeypatch.setenv("NUMBA_CACHE_DIR", "nowhere")
     monkeypatch.setenv("SLAM_GYM_DATA", str(tmp_path))
-    assert f"recordings: SLAM_GYM_DATA={tmp_path} (mrclam)" in list(doctor.report())
+    assert f"recordings: SLAM_GYM_DATA={tmp_path} (mrclam)" in list(commands.report())
     monkeypatch.delenv("SLAM_GYM_DATA")
-    assert any("SLAM_GYM_DATA is not set" in line for line in doctor.report())
+    assert any("SLAM_GYM_DATA is not set" in line for line in commands.report())
 
 
 def test_it_tells_how_much_is_compiled(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert any("empty: the first step ever compiles" in line for line in doctor.report())
+    assert any("empty: the first step ever compiles" in line for line in commands.report())
     (tmp_path / "slam_gym" / "abc").mkdir(parents=True)
     (tmp_path / "slam_gym" / "abc" / "f.nbc").write_bytes(bytes(2_000_000))
-    assert any(f"{tmp_path / 'slam_gym'} (1 compiled functions, 2 MB)" in line for line in doctor.report())
+    assert any(f"{tmp_path / 'slam_gym'} (1 compiled functions, 2 MB)" in line for line in commands.report())
