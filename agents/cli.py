@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import typer
 
 from agents.options import Execution
-from slam_gym.commands import ended
+from slam_gym.__main__ import ended
 
 if TYPE_CHECKING:
     from agents.evaluation.pipeline import Evaluation

@@ -34,7 +34,7 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "commands": {"__init__", "_jit", "association", "recordings", "scenarios"},
+    "__main__": {"__init__", "_jit", "association", "recordings", "scenarios"},
     "__init__": SIMULATION,
 }
 """The rooms that each room may import from, besides itself: always those below it."""

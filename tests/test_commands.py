@@ -12,7 +12,7 @@ import typer
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 import slam_gym
-from slam_gym import commands
+from slam_gym import __main__ as commands
 from tests.agents import typed
 
 
@@ -65,7 +65,7 @@ def test_a_worker_that_was_killed_is_told_in_one_line(capsys):
 def test_a_module_of_ones_own_is_found_where_the_command_is_given(tmp_path):
     """By the script that pip puts on the path, which leaves the current folder out of Python's."""
     (tmp_path / "mine.py").write_text("class Still:\n    name, action = 'still', 'twist'\n")
-    script = "import sys; sys.path.pop(0); from slam_gym.commands import app; app()"
+    script = "import sys; sys.path.pop(0); from slam_gym.__main__ import app; app()"
     line = "evaluate --agents mine:Still yours:Still"
     done = subprocess.run([sys.executable, "-c", script, *line.split()], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
@@ -76,7 +76,7 @@ def test_it_runs_in_a_folder_without_agents(tmp_path):
     line = (
         "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --output out"
     )
-    command = [sys.executable, "-m", "slam_gym.commands", *line.split()]
+    command = [sys.executable, "-m", "slam_gym", *line.split()]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))

@@ -18,7 +18,7 @@ import pytest
 import typer
 from typer.main import get_command
 
-from slam_gym.commands import COMMANDS
+from slam_gym.__main__ import COMMANDS
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.world.floor_plan_file import load_floor_plan
 

@@ -92,7 +92,7 @@ def plain(value: Any) -> Any:
 def command_line() -> str:
     """The running command as a user types it: `slam-gym train …`."""
     program = Path(sys.argv[0])
-    command = [] if program.stem in ("slam-gym", "commands") else [program.stem.replace("_", "-")]
+    command = [] if program.stem in ("slam-gym", "__main__") else [program.stem.replace("_", "-")]
     return shlex.join(["slam-gym", *command, *sys.argv[1:]])
 
 

@@ -12,7 +12,7 @@ from agents.cli import command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import results_folder
 from agents.options import DRIFTING, AssociateWorld, Episodes, Execution, World
-from slam_gym.commands import COMMANDS
+from slam_gym.__main__ import COMMANDS
 from tests.agents import typed
 
 

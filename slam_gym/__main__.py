@@ -1,4 +1,4 @@
-"""`slam-gym COMMAND …`: all commands of the package under one name, wherever it is installed.
+"""`slam-gym COMMAND …`, or `python -m slam_gym COMMAND …`: all commands of the package, wherever it is installed.
 
 The commands are modules of `agents/`, which is at the top of a checkout. A wheel contains it inside the package. Only
 this process puts that folder on its path, so that no other package named `agents` is shadowed elsewhere.
