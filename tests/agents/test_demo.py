@@ -6,7 +6,8 @@ import pytest
 from PIL import Image
 
 from agents import demo, slam
-from slam_gym import ASSOCIATORS, commands
+from slam_gym import ASSOCIATORS
+from slam_gym import __main__ as commands
 from tests.agents import typed
 
 

@@ -110,7 +110,7 @@ def frame():
 
 
 def test_means_medians_and_lost_maps_are_those_of_the_episodes(frame):
-    errors, _ = headline(frame)
+    _, errors = headline(frame)
     assert [column.key for column in errors.columns] == ["drift-1", "loop", "mean", "median", "map_lost"]
     for name, row in errors.rows.items():
         own = by_name(frame)[name]
@@ -122,7 +122,7 @@ def test_means_medians_and_lost_maps_are_those_of_the_episodes(frame):
 
 
 def test_gaps_are_paired_with_the_truth_of_the_same_relocation(frame):
-    _, gaps = headline(frame)
+    gaps, _ = headline(frame)
     assert list(gaps.rows) == ["jcbb", "jcbb + gcbb"] and gaps.differences
     for name, expected in (("jcbb", 0.3), ("jcbb + gcbb", 0.05)):
         for value in gaps.rows[name].values():  # worlds cancel: no interval is left
