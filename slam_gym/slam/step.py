@@ -12,6 +12,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import unambiguous_rows
+from slam_gym.association.compatibility import gate_pairings
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
@@ -175,19 +176,8 @@ def fit_nothing(
     points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
 ) -> int:
     """Enter in `new` (m,) the unpaired measurements compatible with nothing; return one where S is singular, or −1."""
-    positions, covariances = expected
-    for i in range(len(features)):
-        new[i] = features[i] == UNPAIRED
-        for j in range(len(positions) if features[i] == UNPAIRED else 0):
-            x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
-            xx, yy = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
-            # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
-            if x * x >= gate * xx or y * y >= gate * yy:
-                continue
-            xy = covariances[j, 0, 1] + noise[i, 0, 1]
-            determinant = xx * yy - xy * xy
-            if not determinant > 0.0:
-                return i
-            if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
-                new[i] = False
-    return UNPAIRED
+    unpaired, every_row = np.flatnonzero(features == UNPAIRED), np.empty(0, np.bool_)
+    fault, candidates = gate_pairings(points, noise, expected[0], expected[1], unpaired, every_row, gate, 1)
+    new[:] = False
+    new[unpaired] = candidates.starts[1:] == candidates.starts[:-1]
+    return fault[1]
