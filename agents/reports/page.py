@@ -52,7 +52,7 @@ Part = Table | Picture | Film | str
 
 @dataclass(frozen=True)
 class Page:
-    """The contents of a report. The terminal shows its tables, and the headline last, in reverse."""
+    """The contents of a report. The terminal shows the tables of `parts`, then those of `headline`, the first one last."""
 
     title: str
     subtitle: str

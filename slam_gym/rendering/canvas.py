@@ -133,16 +133,26 @@ class Canvas:
         sides of cells would look like saw teeth: free space has a smooth border instead, and walls are lines.
         """
         top = self.size[1] - 0.5
-        corner = self._low + np.array([[0.5, top], [1.5, top], [0.5, top - 1.0]]) / self.scale  # three pixels [m]
+        corner = self._low + np.array([[0.5, top], [2.5, top], [0.5, top - 2.0]]) / self.scale  # three pixels [m]
         first, right, below = observe(pose, corner)[:, ::-1] / resolution - 0.5  # their row and column in the grid
-        share = gaussian_filter(_FREE_SHARE[codes], _SMOOTHING)
-        is_free = affine_transform(share, np.stack([right - first, below - first], axis=1), first, self.size, order=1)
-        is_free = (is_free > 0.5).repeat(SUPERSAMPLING, 0).repeat(SUPERSAMPLING, 1)
+        share, axes = gaussian_filter(_FREE_SHARE[codes], _SMOOTHING), np.stack([right - first, below - first], axis=1)
+        width, height = self.size
+        share = affine_transform(share, axes, first, (width // 2 + 1, height // 2 + 1), np.float32, order=1)
+        is_free = _doubled(share)[:width, :height] > 0.5  # every second pixel in each direction is interpolated
+        is_free = is_free.repeat(SUPERSAMPLING, 0).repeat(SUPERSAMPLING, 1)
         pygame.surfarray.pixels2d(self.surface)[is_free] = self.surface.map_rgb(free)
 
-        lines, width = wall_lines(codes, pose, resolution), WIDTH * resolution * self.scale
-        self.segments(lines, wall, width)
-        self.discs(lines[:, :2], 0.5 * width, wall)
+        (points, lines), broad = wall_lines(codes, pose, resolution), WIDTH * resolution * self.scale
+        self.segments(lines, wall, broad)
+        self.discs(points, 0.5 * broad, wall)
+
+
+def _doubled(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(2h − 1, 2w − 1) numbers (h, w) with the means of neighbours between them."""
+    for _ in range(2):
+        values = values.repeat(2, axis=0)[:-1].T
+        values[:, 1::2] = 0.5 * (values[:, :-1:2] + values[:, 2::2])
+    return values
 
 
 @functools.lru_cache(maxsize=16)

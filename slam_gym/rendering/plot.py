@@ -167,7 +167,8 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
     from matplotlib.collections import LineCollection
 
     ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
-    lines = wall_lines(grid.cells, compose(episode.base, np.array([*grid.origin, 0.0])), grid.resolution)
+    points, lines = wall_lines(grid.cells, compose(episode.base, np.array([*grid.origin, 0.0])), grid.resolution)
+    lines = np.concatenate([lines, np.tile(points, 2)])  # a cell without neighbours is a dot
     ax.add_collection(LineCollection([*lines.reshape(-1, 2, 2)], colors=LIGHT, linewidths=2.4, capstyle="round"))
     ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
     ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)

@@ -194,8 +194,8 @@ def relocate_by(
         landmarks = m.landmarks()
         local_to = locality_of(graph, m.positions, reach, locality)
         needed = max(min_pairings(scan, landmarks, probability=most), math.ceil(_EXPLAINED * len(scan)))
-        told = {"min_pairings": needed} if prunes else {}  # it need not look for fewer
-        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **told)
+        bound = {"min_pairings": needed} if prunes else {}  # the search skips hypotheses with fewer
+        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **bound)
         if not found.accepted or found.pairings < needed:
             return None
         return found if view_from is None or _shows(found, m, reach, view_from) else None
