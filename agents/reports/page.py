@@ -52,7 +52,7 @@ Part = Table | Picture | Film | str
 
 @dataclass(frozen=True)
 class Page:
-    """The contents of a report. The terminal shows the tables of `parts`, then those of `headline`, the first one last."""
+    """The contents of a report: the terminal shows the tables of `parts`, then those of `headline` (the first last)."""
 
     title: str
     subtitle: str
