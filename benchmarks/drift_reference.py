@@ -35,7 +35,8 @@ from slam_gym.types import IntArray
 SCENARIOS = ("drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift", "loop")
 ASSOCIATORS = ("jcbb", "learned", "true_association")
 KEYS = ["scenario", "associator", "world"]
-MEASURES = ["map_error", "map_error_aligned", "batch", "batch_aligned", "duplicates", "lost"]
+MEASURES = ["map_error", "map_error_aligned", "batch", "batch_aligned", "duplicates", "lost", "missed_loop"]
+COUNTS = {"duplicates": "duplicates", "lost": "map_lost", "missed_loop": "missed_loop"}
 
 Task = tuple[str, str, int]
 
@@ -53,7 +54,7 @@ def drive(task: Task, **overrides: Any) -> Record:
     env.unwrapped.watch(record_step)  # type: ignore[attr-defined]
     result = run_episode(env, driver, world)
     errors = {name: result[name] for name in MEASURES[:2]} | batch_errors(env.unwrapped.episode, steps)  # type: ignore[attr-defined]
-    counts = {"duplicates": int(result["duplicates"]), "lost": int(result["map_lost"])}
+    counts = {name: int(result[key]) for name, key in COUNTS.items()}
     return dict(zip(KEYS, task)) | errors | counts | {"seconds": round(result["seconds"], 2)}
 
 

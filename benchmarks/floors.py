@@ -33,7 +33,7 @@ from slam_gym.world.physics import Motion
 
 ASSOCIATORS = ("jcbb", "marginal", "learned", CEILING)
 KEYS = ["floor", "seed", "associator"]
-MEASURES = ("map_error_aligned", "map_error", "duplicates", "precision", "recall", "anees")
+MEASURES = ("map_error_aligned", "map_error", "duplicates", "missed_loop", "precision", "recall", "anees")
 
 
 class Measured(NamedTuple):

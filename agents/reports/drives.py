@@ -97,6 +97,10 @@ def drive_tables(results: Results) -> list[Table]:
         table = Table(title, kind.removesuffix("s"), shown, rows)
         if Clairvoyant.name in rows:
             table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
+        missed = int(frame["missed_loop"].sum()) if "missed_loop" in frame else 0
+        if missed:
+            warning = f"in {missed} of {counted(len(frame), 'drive')} the robot says that it has mapped a place twice"
+            table = replace(table, caption=f"{table.caption}; {warning}")
         tables.append(table)
     return tables
 

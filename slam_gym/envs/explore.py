@@ -287,6 +287,7 @@ class ExploreEnv(BaseEnv):
             "ticks": episode.ticks - self._ticks_before,
             "pose": episode.estimates[-1].copy(),
             "lost": episode.slam.lost,
+            "missed_loop": episode.slam.missed_loop,
             "truth": {"pose": truth.pose.copy(), "sources": sources},
         }
         if self.goal_mode:

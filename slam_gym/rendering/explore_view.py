@@ -139,6 +139,8 @@ def _whereabouts(episode: Episode) -> Figures:
         return (*rows, ("robot", "is lost"))
     if episode.slam.doubted:
         return (*rows, ("robot", "in doubt"))
+    if episode.slam.missed_loop:
+        return (*rows, ("robot", "missed a loop"))
     if kidnapping.recovered is not None:
         return (*rows, ("found back", f"at {kidnapping.recovered}"))
     return (*rows, ("robot", "tracks"))

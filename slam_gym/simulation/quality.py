@@ -22,8 +22,9 @@ def quality(episode: Episode) -> dict[str, float]:
     `landmark_rmse_…` [m] compare each mapped feature that a real feature created with that feature; duplicates count in
     `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is the mean error of distances between such
     features that were seen together. `ate` [m] is that of the positions, without alignment, since both start from one
-    known pose. `anees` is the pose NEES divided by its 3 degrees of freedom, averaged over the ticks. `recovered` is 1
-    if the pose was right again after a kidnapping; `ticks_astray` is the number of ticks until then.
+    known pose. `missed_loop` is 1 if the robot seems to have mapped a place twice (`Slam.missed_loop`). `anees` is the
+    pose NEES divided by its 3 degrees of freedom, averaged over the ticks. `recovered` is 1 if the pose was right again
+    after a kidnapping; `ticks_astray` is the number of ticks until then.
     """
     nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
@@ -51,6 +52,7 @@ def quality(episode: Episode) -> dict[str, float]:
         "recall": tally.recall,
         "duplicates": float((sources >= 0).sum() - len(real)),
         "features": float(len(landmarks)),
+        "missed_loop": float(episode.slam.missed_loop),
         "anees": anees(nees[np.isfinite(nees)], 3),
         "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
         "ticks": float(episode.ticks),

@@ -25,6 +25,7 @@ from slam_gym.mapping.measurement import rows_for
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
+from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import (
@@ -114,6 +115,7 @@ class Slam:
             )
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
+        self._missed_loops = MissedLoops()
         self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
         self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, cyclic
         self._learned = 0  # [scans] learned from so far
@@ -194,6 +196,7 @@ class Slam:
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
+        self._missed_loops.learn(prediction, hypothesis)
         removed = self._forget(detail) if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
@@ -222,11 +225,14 @@ class Slam:
         """Fuse the features that the atlas recognises as the same, and return the step with what changed."""
         if self.atlas is None or self.doubted:
             return step
+        known = len(self.atlas.fusions)
         fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach)
         if fusion is None:
             return step
         self.map, self.covisibility, self.fused = fusion.map, fusion.covisibility, fusion.ids
         self._renumber(fusion.became)
+        if any(record.kind != "duplicates" for record in self.atlas.fusions[known:]):
+            self._missed_loops.reset()
         if self.tracker is not None and len(fusion.returned):
             self.tracker.relocations += 1
         removed_now = np.concatenate([step.removed, fusion.ids[:, 1]])
@@ -251,6 +257,15 @@ class Slam:
     def doubted(self) -> bool:
         """Whether the last scan was not believed. Always False without `relocate`."""
         return self.tracker is not None and self.tracker.doubted > 0
+
+    @property
+    def missed_loop(self) -> bool:
+        """Whether the robot seems to map a place for the second time: see `slam_gym.slam.missed_loops`.
+
+        It remains true until a loop is closed, maps are joined, or another map begins. Always False without `view_from`
+        or localities.
+        """
+        return self._missed_loops.missed
 
     @property
     def relocations(self) -> int:
@@ -289,6 +304,7 @@ class Slam:
         removed = self.map.ids
         self.map, self.covisibility = atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
         self._recent.fill(UNPAIRED)
+        self._missed_loops.reset()
         tracker.forget()
         return removed
 

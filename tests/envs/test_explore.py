@@ -15,7 +15,7 @@ from slam_gym.world.sensor import Sensor
 from tests.rollouts import SCENARIOS, differences, episode, explore, short
 
 INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
-INFO += ["lost", "truth"]
+INFO += ["lost", "missed_loop", "truth"]
 
 
 def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
