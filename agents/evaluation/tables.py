@@ -43,7 +43,7 @@ class Column:
 
 _ALL = (
     # of a drive
-    Column("map_error", "map error", 3, "lower"), Column("map_error_aligned", "aligned", 3, "lower"),
+    Column("map_error", "map error", 3, "lower"), Column("map_error_aligned", "aligned error", 3, "lower"),
     Column("coverage", "coverage", 3, "higher"), Column("anees", "ANEES", 2),
     Column("map_lost", "lost", 3, "lower", rare=True), Column("duplicates", "dupl.", 1, "lower"),
     Column("ticks", "ticks", 0), Column("ticks_per_second", "ticks/s", 0),

@@ -39,15 +39,16 @@ COLUMNS = {
         "ticks_per_second",
     ),
     "associators": columns(
-        "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error",
-        "map_error_aligned", "anees",
+        "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error_aligned",
+        "map_error", "anees",
     ),
 }  # fmt: skip
 RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
 PANELS = {
     "drivers": columns("map_error", "coverage"),
-    "associators": columns("precision", "recall", "map_error", "microseconds"),
+    "associators": columns("precision", "recall", "map_error_aligned", "microseconds"),
 }
+MEAN = "mean"  # over all scenarios
 PAIRED = "paired over the episodes of all scenarios; negative: the row makes the better map; bold: not 0 by chance"
 
 
@@ -66,11 +67,13 @@ def drives_page(results: Results, folder: Path) -> Page:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
         parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]
     if len(groups) > 1:
+        (error,) = columns("map_error" if drivers else "map_error_aligned")  # drivers are rewarded by the former
         gaps: Rows = {
-            name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
+            name: {other: difference(own, groups[other], error.key) for other in groups if other != name}
             for name, own in groups.items()
         }
-        others, corner = [Column(name, display_name(name)) for name in groups], "map error of … minus that of"
+        others = [Column(name, display_name(name)) for name in groups]
+        corner = f"{'' if drivers else 'aligned '}map error of … minus that of"
         against = Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True)
         (parts if any(table.differences for table in first) else first).insert(0, against)
     if (beside := film_path(folder, BESIDE)).with_suffix(".png").exists():
@@ -106,28 +109,30 @@ def drive_tables(results: Results) -> list[Table]:
 
 
 def headline(frame: pd.DataFrame) -> list[Table]:
-    """Two tables: paired differences to true association with the same relocation, where there are any, and map errors
-    with lost maps."""
-    groups, (lost,) = by_name(frame), columns("map_lost")
-    means = [Column(setting, setting, 3, "lower") for setting in (*by_setting(frame), "mean")]
+    """Two tables: paired differences to true association with the same relocation, where there are any, and aligned map
+    errors with errors that are not aligned and lost maps."""
+    groups, (error, raw, lost) = by_name(frame), columns("map_error_aligned", "map_error", "map_lost")
+    settings = list(by_setting(frame))
+    means = [
+        Column(setting, setting, 3, "lower") for setting in (settings if len(settings) == 1 else [*settings, MEAN])
+    ]
     errors: Rows = {}
     gaps: Rows = {}
     for name, own in groups.items():
-        settings = by_setting(own) | {"mean": own}
-        errors[name] = {setting: estimate_of(some, "map_error", mean) for setting, some in settings.items()}
-        errors[name] |= {"median": float(own["map_error"].median()), lost.key: estimate_of(own, lost.key, mean)}
+        parts = by_setting(own) | {MEAN: own}
+        errors[name] = {setting: estimate_of(some, error.key, mean) for setting, some in parts.items()}
+        errors[name] |= {column.key: estimate_of(own, column.key, mean) for column in (raw, lost)}
         associator, join, relocation = name.partition(JOIN)
         truth = f"{CEILING}{join}{relocation}"
         if associator != CEILING and truth in groups:
-            of_truth = by_setting(groups[truth]) | {"mean": groups[truth]}
+            of_truth = by_setting(groups[truth]) | {MEAN: groups[truth]}
             gaps[name] = {
-                setting: difference(some, of_truth[setting], "map_error", mean) for setting, some in settings.items()
+                setting: difference(some, of_truth[setting], error.key, mean) for setting, some in parts.items()
             }
-    caption = f"mean map error{INTERVALS}; {LOST_MEANS}"
-    shown = [*means, Column("median", "median"), lost]
-    tables = [Table("Map error", "associator", shown, errors, caption)]
+    caption = f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}"
+    tables = [Table("Aligned map error", "associator", [*means, raw, lost], errors, caption)]
     if gaps:
         caption = f"mean over the same episodes{INTERVALS}"
-        title = "Map error above that of true association with the same relocation"
+        title = "Aligned map error above that of true association with the same relocation"
         tables.insert(0, Table(title, "associator", means, gaps, caption, differences=True))
     return tables
