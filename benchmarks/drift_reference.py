@@ -59,9 +59,15 @@ def drive(task: Task, **overrides: Any) -> Record:
 
 
 def batch_errors(episode: Episode, steps: list[tuple[Odometry, Scan, IntArray]]) -> Record:
-    """Map error, raw and aligned, of the confirmed features at their positions by batch least squares."""
+    """Map error, raw and aligned, of the confirmed features at their positions by batch least squares; NaN where wrong
+    pairings keep it from an optimum."""
     odometry, scans, ids = zip(*steps)
-    best = smooth(odometry, scans, [final_ids(episode.slam, of_scan) for of_scan in ids], np.array(episode.estimates))
+    pairings = [final_ids(episode.slam, of_scan) for of_scan in ids]
+    try:
+        best = smooth(odometry, scans, pairings, np.array(episode.estimates))
+    except ValueError as error:
+        print(f"no batch solution: {error}")
+        return {"batch": float("nan"), "batch_aligned": float("nan")}
     confirmed = np.concatenate([m.ids[~m.provisional] for m in episode.slam.maps])
     mapped = transform(episode.base, best.positions[np.searchsorted(best.ids, confirmed)])
     sigma0, sources = episode.scenario.prior_sigma, episode.identities.source_of(confirmed)
