@@ -36,7 +36,6 @@ SCENARIOS = ("drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "cr
 ASSOCIATORS = ("jcbb", "learned", "true_association")
 KEYS = ["scenario", "associator", "world"]
 MEASURES = ["map_error", "map_error_aligned", "batch", "batch_aligned", "duplicates", "lost", "missed_loop"]
-COUNTS = {"duplicates": "duplicates", "lost": "map_lost", "missed_loop": "missed_loop"}
 
 Task = tuple[str, str, int]
 
@@ -54,7 +53,7 @@ def drive(task: Task, **overrides: Any) -> Record:
     env.unwrapped.watch(record_step)  # type: ignore[attr-defined]
     result = run_episode(env, driver, world)
     errors = {name: result[name] for name in MEASURES[:2]} | batch_errors(env.unwrapped.episode, steps)  # type: ignore[attr-defined]
-    counts = {name: int(result[key]) for name, key in COUNTS.items()}
+    counts = {"lost": int(result["map_lost"])} | {name: int(result[name]) for name in ("duplicates", "missed_loop")}
     return dict(zip(KEYS, task)) | errors | counts | {"seconds": round(result["seconds"], 2)}
 
 

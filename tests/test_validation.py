@@ -105,13 +105,7 @@ def test_decisions_that_do_not_fit_are_named(features, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "new",
-    [
-        np.array([True, False]),
-        np.array([1, 0, 0]),
-        np.array([True, False, False]),
-        [False, True, False],
-    ],
+    "new", [np.array([True, False]), np.array([1, 0, 0]), np.array([True, False, False]), [False, True, False]]
 )
 def test_a_measurement_that_is_paired_or_not_there_cannot_be_new(new) -> None:
     with pytest.raises(ValueError, match=r"hypothesis.new: expected \(3,\) booleans"):

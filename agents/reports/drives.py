@@ -67,9 +67,9 @@ def drives_page(results: Results, folder: Path) -> Page:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
         parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]
     if len(groups) > 1:
-        (error,) = columns("map_error" if drivers else "map_error_aligned")  # drivers are rewarded by the former
+        error = "map_error" if drivers else "map_error_aligned"  # drivers are rewarded by the former
         gaps: Rows = {
-            name: {other: difference(own, groups[other], error.key) for other in groups if other != name}
+            name: {other: difference(own, groups[other], error) for other in groups if other != name}
             for name, own in groups.items()
         }
         others = [Column(name, display_name(name)) for name in groups]

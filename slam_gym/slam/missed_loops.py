@@ -13,7 +13,7 @@ import numpy as np
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Hypothesis
 
-_EVERY = 5  # [scans] between looks: visibility costs as much as half a step
+_EVERY = 5  # [scans] between looks, since visibility casts rays for every feature in reach
 _LOOKS = 20  # the last so many are judged together
 _REPLACED = 2.5  # mean number per look from which a loop is held to be missed; in sound maps of floors at most 1.6
 _IN_VIEW = 0.5  # visibility from which a feature should be in view

@@ -31,7 +31,7 @@ def test_the_command_in_the_loop(tmp_path):
     for expected in ("mine", "true association", "Against each other", '"gcbb"'):
         assert expected in page.text
     assert set(frame["setting"]) == {"office-small", "clutter/1"} and len(frame) == 16
-    assert "mine" in result.output and "clutter/1, 2 episodes" in result.output and "error above" in result.output
+    assert all(said in result.output for said in ("mine", "clutter/1, 2 episodes", "Aligned map error above"))
 
 
 def test_the_command_of_the_suite(tmp_path):

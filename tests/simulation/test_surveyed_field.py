@@ -6,7 +6,7 @@ import pytest
 from slam_gym import UNPAIRED
 from slam_gym.association.relocation.location import locate
 from slam_gym.geometry import wrap_angle
-from slam_gym.simulation.surveyed_field import REACH, surveyed_field
+from slam_gym.simulation.surveyed_field import LOCALITIES, REACH, surveyed_field
 
 
 def test_distances_between_neighbours_are_as_certain_as_the_map_says_and_positions_are_not() -> None:
@@ -36,3 +36,12 @@ def test_scans_from_inside_show_features_in_reach_and_those_from_outside_none() 
         off = field.scan_outside(8, rng)
         assert len(off.scan) == 8 and (off.truth == UNPAIRED).all() and np.isnan(off.pose).all()
         assert (np.hypot(*off.scan.points.T) < 1.1 * REACH).all()
+
+
+def test_every_locality_has_a_name_and_contains_the_feature_itself() -> None:
+    field = surveyed_field(100, np.random.default_rng(2))
+    for name in LOCALITIES:
+        locality = field.locality(name)
+        assert locality is None or all(j in locality.of(j) for j in range(100))
+    with pytest.raises(ValueError, match="locality='rooms'; known: covisibility"):
+        field.locality("rooms")

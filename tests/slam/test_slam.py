@@ -160,11 +160,7 @@ def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:
 @pytest.mark.parametrize(
     ("odometry", "scan", "message"),
     [
-        (
-            Scan.from_points([[1, 2]], sigma=0.1),
-            Odometry.from_motion([1, 0, 0], 0.1),
-            "odometry: Scan, expected Odometry",
-        ),
+        (scan_of(SEEN), STILL, "odometry: Scan, expected Odometry"),
         ([1, 0, 0], Scan.from_points([[1, 2]], sigma=0.1), r"odometry: list, .*Odometry\.from_motion"),
         (Odometry.from_motion([1, 0, 0], 0.1), [[1, 2]], r"scan: list, .*Scan\.from_points"),
     ],

@@ -116,6 +116,7 @@ def test_means_and_lost_maps_are_those_of_the_episodes(frame):
         own = by_name(frame)[name]
         assert row["drift-1"].estimate == pytest.approx(by_setting(own)["drift-1"]["map_error_aligned"].mean())
         assert row["mean"].estimate == pytest.approx(own["map_error_aligned"].mean())
+        assert row["map_error"].estimate == pytest.approx(own["map_error"].mean())
         assert row["mean"].low < row["mean"].estimate < row["mean"].high
         assert row["map_lost"].estimate == (2 / 20 if name == "jcbb" else 0.0)
     assert not errors.bold["mean"] & {"true_association", "true_association + gcbb"}
