@@ -10,15 +10,13 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.problem import (
-    JOINT,
     LEAVES,
-    LIMIT,
-    LOCATION_LIMIT,
     NODES,
     Best,
     Problem,
     answer_of,
     fewest,
+    must_end,
     nothing_found,
     offer,
     problem_of,
@@ -55,9 +53,9 @@ def gcbb(
     Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
     come from a feature that was seen together with those of all others, so that a strict locality loses less.
 
-    `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is looked for. Where `node_limit` or
-    `LOCATION_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so far is returned. Raises
-    ValueError for bad numbers in scan or map, and for a locality of another map.
+    `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is looked for. Where `node_limit`,
+    `LOCATION_LIMIT` or `TEST_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so far is
+    returned. Raises ValueError for bad numbers in scan or map, and for a locality of another map.
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
@@ -96,8 +94,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, bes
         tried[level] = _STAR if feature == UNPAIRED else examined
         if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
-        if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
-            effort[LIMIT] = 1
+        if must_end(effort, node_limit):
             break
         effort[NODES] += 1
         if feature != UNPAIRED:

@@ -21,6 +21,7 @@ NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
 """Indices of the counts in `Problem.effort`, named as in `Effort`; the last is 1 where a limit ended the search."""
 
 LOCATION_LIMIT = 5_000  # hypotheses that a search locates, which takes a quarter of a second
+TEST_LIMIT = 5_000_000  # tests of constraints in a search, which take half a second
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 
 
@@ -75,6 +76,15 @@ def nothing_found(measurements: int, least: int | None = None) -> Best:
         np.empty(_RIVALS),
         np.array([max(least or 2, 2) - 1, 0, 0]),
     )
+
+
+@inlined
+def must_end(effort: IntArray, node_limit: int) -> bool:
+    """Whether a limit of a search through the interpretation tree is reached; then enters that in `effort`."""
+    tests = effort[UNARY] + effort[BINARY] + effort[ORIENTATION]
+    if effort[NODES] >= node_limit or effort[JOINT] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
+        effort[LIMIT] = 1
+    return bool(effort[LIMIT] == 1)
 
 
 @inlined

@@ -12,10 +12,8 @@ from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import place_of
 from slam_gym.association.relocation.problem import (
-    JOINT,
     LEAVES,
     LIMIT,
-    LOCATION_LIMIT,
     NODES,
     TRIES,
     Best,
@@ -23,6 +21,7 @@ from slam_gym.association.relocation.problem import (
     answer_of,
     fewest,
     joint_distance,
+    must_end,
     nothing_found,
     offer,
     problem_of,
@@ -57,9 +56,9 @@ def random_sampling(
     All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
     of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
     generator to draw them from. `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is
-    looked for. Where `node_limit`, which bounds the nodes of all trees together, or `LOCATION_LIMIT` ends the search,
-    `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
-    map, for a locality of another map, and for settings out of range.
+    looked for. Where `node_limit`, which bounds the nodes of all trees together, `LOCATION_LIMIT` or `TEST_LIMIT` ends
+    the search, `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers
+    in scan or map, for a locality of another map, and for settings out of range.
     """
     if tries < 1 or node_limit < 1:
         raise ValueError(f"tries {tries}, node_limit {node_limit}: expected at least 1")
@@ -93,8 +92,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
             if feature == UNPAIRED:
                 p -= 1
                 continue
-            if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
-                effort[LIMIT] = 1
+            if must_end(effort, node_limit):
                 break
             effort[NODES] += 1
             path.measurements[p], path.features[p] = sample[p], feature
@@ -132,8 +130,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             tried[level] += 1
         if not paired:
             tried[level] = _STAR
-        if effort[NODES] == node_limit or effort[JOINT] >= LOCATION_LIMIT:
-            effort[LIMIT] = 1
+        if must_end(effort, node_limit):
             return
         effort[NODES] += 1
         level += 1
