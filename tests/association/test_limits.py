@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import ASSOCIATORS, gcbb, random_sampling
-from slam_gym.association.relocation.problem import LOCATION_LIMIT
+from slam_gym.association.relocation.problem import LOCATION_LIMIT, TEST_LIMIT
 from slam_gym.association.tracking.hypotheses import JOINT_TESTS, MOST_CANDIDATES
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Landmarks, Odometry, Scan
@@ -69,3 +69,5 @@ def test_searches_without_a_prior_end():
     assert deep.effort.limit_hit and not deep.accepted and deep.effort.joint_tests <= LOCATION_LIMIT
     assert sampled.effort.limit_hit and not sampled.accepted
     assert sampled.effort.joint_tests < LOCATION_LIMIT + len(landmarks)  # a level may test all features
+    deep = gcbb(scan, Landmarks.from_points(rng.uniform(-2, 2, (35, 2)), sigma=0.5), min_pairings=20)
+    assert deep.effort.limit_hit and deep.effort.orientation_tests < TEST_LIMIT / 20, "wide gates: nodes cost most"

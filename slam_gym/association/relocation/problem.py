@@ -21,7 +21,8 @@ NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
 """Indices of the counts in `Problem.effort`, named as in `Effort`; the last is 1 where a limit ended the search."""
 
 LOCATION_LIMIT = 5_000  # hypotheses that a search locates, which takes a quarter of a second
-TEST_LIMIT = 5_000_000  # tests of constraints in a search, which take half a second
+TEST_LIMIT = 40_000_000  # tests of constraints in a search, which take some half a second
+_ORIENTATION_COST = 40  # tests that one of the orientation counts for: most candidates fail before it
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 
 
@@ -81,7 +82,7 @@ def nothing_found(measurements: int, least: int | None = None) -> Best:
 @inlined
 def must_end(effort: IntArray, node_limit: int) -> bool:
     """Whether a limit of a search through the interpretation tree is reached; then enters that in `effort`."""
-    tests = effort[UNARY] + effort[BINARY] + effort[ORIENTATION]
+    tests = effort[UNARY] + effort[BINARY] + _ORIENTATION_COST * effort[ORIENTATION]
     if effort[NODES] >= node_limit or effort[JOINT] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
         effort[LIMIT] = 1
     return bool(effort[LIMIT] == 1)
