@@ -69,5 +69,5 @@ def test_searches_without_a_prior_end():
     assert deep.effort.limit_hit and not deep.accepted and deep.effort.joint_tests <= LOCATION_LIMIT
     assert sampled.effort.limit_hit and not sampled.accepted
     assert sampled.effort.joint_tests < LOCATION_LIMIT + len(landmarks)  # a level may test all features
-    deep = gcbb(scan, Landmarks.from_points(rng.uniform(-2, 2, (35, 2)), sigma=0.5), min_pairings=20)
+    deep = gcbb(scan, Landmarks.from_points(rng.uniform(-4, 4, (35, 2)), sigma=0.5), min_pairings=20)
     assert deep.effort.limit_hit and deep.effort.orientation_tests < TEST_LIMIT / 20, "wide gates: nodes cost most"
