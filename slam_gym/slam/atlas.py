@@ -43,6 +43,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.fusion import (
     Fusion,
     MappedArea,
+    close_missed_loop,
     find_duplicates,
     find_loop,
     fuse,
@@ -152,28 +153,33 @@ class Atlas:
         fresh.place(m.pose, np.zeros((3, 3)))
         return fresh
 
-    def fusion(self, active: MappedArea, step: SlamStep, scan: Scan, reach: float) -> Fusion | None:
-        """Join maps, then close a loop, then fuse duplicates, as far as they are recognised after a step; or None."""
+    def fusion(self, active: MappedArea, step: SlamStep, scan: Scan, reach: float, missed: bool) -> Fusion | None:
+        """Join maps, then close a loop, then fuse duplicates, as far as they are recognised after a step; or None.
+
+        `missed` says whether a loop seems to have been missed, and is searched for in the whole map.
+        """
         fusions: list[Fusion] = []
         due = bool(self.inactive) and active.map.step % self.spec.rejoin == 0
         joined = self._joined(active, step, scan, reach) if due else None
         if joined is not None:
             fusions.append(joined)
             active = MappedArea(joined.map, joined.covisibility)
-        fusions += self._fused(active)
+        fusions += self._fused(active, missed)
         return functools.reduce(Fusion.then, fusions) if fusions else None
 
-    def _fused(self, active: MappedArea) -> Iterator[Fusion]:
+    def _fused(self, active: MappedArea, missed: bool) -> Iterator[Fusion]:
         """Yield the fusion that closes a loop, then the fusion of duplicates, as far as there are any."""
         spec, (m, graph) = self.spec.recognition, active
         if spec is None or m.step % spec.every:
             return
         pairs = find_loop(m, graph, spec)
-        if len(pairs):
-            closed = self._recorded("loop", m.step, fuse(m, graph, pairs))
+        closed = fuse(m, graph, pairs) if len(pairs) else None
+        if closed is None and missed:
+            closed = close_missed_loop(m, graph, spec)
+        if closed is not None:
             m, graph = closed.map, closed.covisibility
-            yield closed
-        everywhere, self._search_everywhere = self._search_everywhere or len(pairs) > 0, False
+            yield self._recorded("loop", m.step, closed)
+        everywhere, self._search_everywhere = self._search_everywhere or closed is not None, False
         pairs = find_duplicates(m, graph, m.step if everywhere else spec.recent)
         if len(pairs):
             yield self._recorded("duplicates", m.step, fuse(m, graph, pairs))

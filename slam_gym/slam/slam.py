@@ -226,7 +226,7 @@ class Slam:
         if self.atlas is None or self.doubted:
             return step
         known = len(self.atlas.fusions)
-        fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach)
+        fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach, self.missed_loop)
         if fusion is None:
             return step
         self.map, self.covisibility, self.fused = fusion.map, fusion.covisibility, fusion.ids

@@ -16,7 +16,7 @@ from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, IntArray
-from tests.slam.rings import VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
+from tests.slam.rings import REACH, VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
@@ -165,6 +165,17 @@ def test_a_measurement_whose_pairing_is_rejected_starts_a_feature_where_it_is_to
     assert 0.0 < held.hypothesis.joint_distance < paired.hypothesis.joint_distance
     assert begun.rule is StartRule.FITS_NOTHING_NEAR and held.rule is StartRule.FITS_NOTHING
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
+
+
+def test_a_missed_loop_is_closed_by_the_place_alone_and_the_second_copy_goes() -> None:
+    for seed in range(4):
+        log = loop_drive(seed, 450, 200, 0.001)
+        plain, without = map_it(Slam(SlamSpec(reach=REACH), VIEW), log)
+        slam = Slam(SlamSpec(reach=REACH, lost_fraction=0.0), VIEW, relocate=nobody, atlas=AtlasSpec())
+        judged, error = map_it(slam, log)
+        assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0, f"seed {seed}"
+        assert duplicates(judged) < 0.6 * duplicates(plain) and error < without, f"seed {seed}"
+        assert_valid(slam, "loop")
 
 
 def test_without_patience_there_is_one_map_only() -> None:

@@ -3,6 +3,7 @@
 **Loops** are found by place recognition within the active map, and verified with the prior: both parts must have one
 shape, and the map must consider the motion between them possible. **Maps** are joined with an uninformative relation
 (`join_at`) once the recent part of one, or a scan, is recognised in the other; there is then no prior to verify with.
+A **missed loop** is closed without the prior, too: it failed (`close_missed_loop`).
 
 **Duplicates** are single features that the map holds twice: a loop closure, or a scan whose right pairing missed its
 gate, may leave some. Two features are taken for the same if their difference is small for its covariance, neither has
@@ -14,18 +15,21 @@ mapped twice, too small for a loop, its features have no such neighbours; there,
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.geometry import compose, inverse
+from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of, recognise
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of, recent_part, recognise
 from slam_gym.slam.places.verification import agreeing, attributes_agree, never_together, overlap
-from slam_gym.types import UNPAIRED, IntArray, Relocation
+from slam_gym.types import UNPAIRED, BoolArray, IntArray, Relocation
 
 NO_PAIRS = np.empty((0, 2), np.int64)
 _NOTHING = np.empty(0, np.int64)
@@ -35,6 +39,9 @@ _INFLATION = 2.0  # of standard deviations, where sightings and neighbours are m
 _SEEN, _COMMON = 3, 3  # least number of scans that saw each of two duplicates, and of features seen with both
 _MANY_SEEN, _MANY_COMMON = 8, 8
 _DOUBLED = 5  # least number of candidate pairs among the neighbours of both that count as support
+_ANYWHERE = 1000.0  # inflation with which every older feature is searched
+_WINDOW = 10  # features that are judged together where the second copy of a place begins
+_MORE_PAIRS = 1.5  # factor on the least number of pairs where the whole map is searched
 
 
 class MappedArea(NamedTuple):
@@ -42,6 +49,12 @@ class MappedArea(NamedTuple):
 
     map: StochasticMap
     covisibility: CovisibilityGraph
+
+    def only(self, features: BoolArray) -> MappedArea:
+        """A copy with the robot and those features (n,) alone."""
+        m, graph = self.map.copy(), copy.deepcopy(self.covisibility)
+        graph.keep(m.remove(np.flatnonzero(~features)))
+        return MappedArea(m, graph)
 
 
 class Fusion(NamedTuple):
@@ -80,6 +93,41 @@ def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec)
     pairs = agreeing(m, pairs[np.argsort(pairs[:, 0])], spec, prior=True)
     believed = len(pairs) >= spec.min_pairs and never_together(graph, pairs)
     return pairs if believed and overlap(m, parts, pairs) >= spec.min_fraction else NO_PAIRS
+
+
+def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Fusion | None:
+    """Cut a map where a second copy of known ground begins, and join the parts there; None if nothing is recognised.
+
+    The map considers the motion between the copies impossible, because it once trusted a wrong pairing. So the recent
+    part is searched for in the whole map, and more pairs are required. The features of the second copy, and all that
+    were started later, form a map with the robot. It is joined with the rest by the common ground alone: what the two
+    parts knew of each other came from a wrong pose.
+    """
+    anywhere = replace(spec, inflation=_ANYWHERE, min_pairs=int(_MORE_PAIRS * spec.min_pairs))
+    parts = parts_of(m, graph, anywhere)
+    found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, anywhere)
+    if parts is None or found is None:
+        return None
+    area, second = MappedArea(m, graph), m.ids >= _first_of_copy(m, parts, found)
+    older, newer = area.only(~second), area.only(second)
+    joined = join_recognised(older, newer, recent_part(*newer, spec), anywhere)
+    order = np.where(second, older.map.n + np.cumsum(second) - 1, np.cumsum(~second) - 1)
+    return None if joined is None else joined._replace(became=joined.became[order])
+
+
+def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
+    """The id of the first feature of the second copy: from there on, most features lie on older ones when moved as the
+    recent part is."""
+    moved, positions, by_id = transform(found.pose, m.positions), m.positions, np.argsort(m.ids)
+    paired = found.features != UNPAIRED
+    copies, originals = parts.recent[paired], parts.older[found.features[paired]]
+    apart = 3.0 * float(np.hypot(*(moved[copies] - positions[originals]).T).max())
+    copied = np.tri(m.n, k=-1, dtype=np.bool_) & (cdist(moved[by_id], positions[by_id]) <= apart)
+    has_original, ids = copied.any(axis=1), m.ids[by_id]
+    first = int(np.searchsorted(ids, m.ids[copies].min()))
+    while first > _WINDOW and has_original[first - _WINDOW : first].mean() >= 0.5:
+        first -= 1
+    return int(ids[first])
 
 
 def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
