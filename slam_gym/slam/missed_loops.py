@@ -1,7 +1,8 @@
 """Missed loops: the robot is back where it was before, recognises nothing, and maps the place for the second time.
 
 Nothing looks wrong then. New features explain the scans, and D²_H is that of a sound map. What gives a missed loop away
-is what the scans do *not* show: features mapped long ago should be in view, and others are paired in their place.
+is what the scans do *not* show: features mapped long ago should be in view, and others are paired in their place. Place
+recognition then searches the whole map (`places.fusion.close_missed_loop`).
 """
 
 from __future__ import annotations
