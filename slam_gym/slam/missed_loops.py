@@ -30,13 +30,11 @@ class MissedLoops:
 
     def __init__(self) -> None:
         self.missed = False  # since the last reset
-        self._scans = 0
         self._replaced: deque[int] = deque(maxlen=_LOOKS)  # number of features in the last looks
 
-    def learn(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
-        """Take a scan into account that the map learns from."""
-        self._scans += 1
-        if self._scans % _EVERY or not prediction.has_view:
+    def learn(self, number: int, prediction: Prediction, hypothesis: Hypothesis) -> None:
+        """Take a scan into account that the map learns from, the `number`th."""
+        if number % _EVERY or not prediction.has_view:
             return
         self._replaced.append(_replaced(prediction, hypothesis))
         if len(self._replaced) == _LOOKS and sum(self._replaced) >= _REPLACED * _LOOKS:

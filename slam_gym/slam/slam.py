@@ -196,7 +196,7 @@ class Slam:
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        self._missed_loops.learn(prediction, hypothesis)
+        self._missed_loops.learn(self._learned, prediction, hypothesis)
         removed = self._forget(detail) if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
