@@ -2,8 +2,9 @@
 
 Seven scenarios × JCBB, the learned associator and true association, driven by information gain, with relocation (gcbb)
 and the atlas: the conditions of the headline table. The map of the filter is compared with that of batch least squares
-with the same pairings, which with true pairings is the best possible map of the drive. With `--compare OLD.csv`, a
-second table contains the paired differences NEW − OLD over common worlds, with 95 % bootstrap intervals of their mean.
+with the same pairings, which with true pairings is the best possible map of the drive. A drive is sound if its map has
+an aligned error of at most 0.5 and at most ten duplicates. With `--compare OLD.csv`, a second table contains the paired
+differences NEW − OLD over common worlds, with 95 % bootstrap intervals of their mean.
 
     python benchmarks/drift_reference.py --out new.csv [--compare old.csv]    # some ten minutes on two idle cores
 
@@ -36,6 +37,8 @@ SCENARIOS = ("drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "cr
 ASSOCIATORS = ("jcbb", "learned", "true_association")
 KEYS = ["scenario", "associator", "world"]
 MEASURES = ["map_error", "map_error_aligned", "batch", "batch_aligned", "duplicates", "lost", "missed_loop"]
+
+MOST_ERROR, MOST_DUPLICATES = 0.5, 10  # of a sound map
 
 Task = tuple[str, str, int]
 
@@ -86,6 +89,12 @@ def drive_all(tasks: list[Task], out: Path, jobs: int) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values(KEYS)
 
 
+def sound(rows: pd.DataFrame) -> str:
+    """How many drives have a sound map."""
+    good = (rows["map_error_aligned"] <= MOST_ERROR) & (rows["duplicates"] <= MOST_DUPLICATES)
+    return f"{good.sum()} of {len(rows)}"
+
+
 def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     """Mean paired differences NEW − OLD with their intervals, by scenario and associator, and over all scenarios."""
     pairs = new.merge(old, on=KEYS, suffixes=(" new", " old"))
@@ -111,7 +120,9 @@ def main() -> None:
         print(drive(("drift-2", "jcbb", 0), budget=60))
         return
     results = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
-    table("Means over the worlds", results.groupby(KEYS[:2], sort=False)[MEASURES].mean().round(3).reset_index())
+    groups = results.groupby(KEYS[:2], sort=False)
+    means = groups[MEASURES].mean().round(3).join(groups.apply(sound).rename("sound"))
+    table("Means over the worlds", means.reset_index())
     if a.compare:
         table(f"{a.out} − {a.compare}", differences(results, pd.read_csv(a.compare)))
 

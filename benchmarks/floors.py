@@ -7,8 +7,8 @@ of the table.
 
     python benchmarks/floors.py --floors A_occ_map.npy.gz B_occ_map.npy.gz --seeds 0 1 --out floors.csv
 
-The last table has the mean of each measure over all drives with its 95 % bootstrap interval, and the drives that are
-sound: an aligned error of at most 0.5 and at most ten duplicates.
+The last table has the mean of each measure over all drives with its 95 % bootstrap interval, and the number of sound
+drives, as in `drift_reference.py`.
 
 A drive and associator take ten to forty seconds for floors of 200 m, whose drives end after `--ticks`. Rows that are in
 the CSV already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
@@ -26,7 +26,7 @@ import pandas as pd
 from agents.drivers.baselines import InformationGain
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from benchmarks.common import Record, options, table
-from benchmarks.drift_reference import batch_errors
+from benchmarks.drift_reference import batch_errors, sound
 from slam_gym import Odometry, Scan
 from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.scenarios import SPLITS
@@ -39,7 +39,6 @@ from slam_gym.types import Beams, Truth
 from slam_gym.world.physics import Motion
 
 ASSOCIATORS = ("jcbb", "marginal", "learned", CEILING)
-MOST_ERROR, MOST_DUPLICATES = 0.5, 10  # of a sound map
 KEYS = ["floor", "seed", "associator"]
 MEASURES = ("map_error_aligned", "map_error", "duplicates", "missed_loop", "precision", "recall", "anees")
 SUMMARY = ["map_error_aligned", "map_error", "batch_aligned", "batch", "duplicates", "precision", "recall"]
@@ -107,8 +106,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Means with 95 % bootstrap intervals over the drives of each associator, and how many are sound."""
     found = []
     for associator, drives in rows.groupby("associator", sort=False):
-        broken = (drives["map_error_aligned"] > MOST_ERROR) | (drives["duplicates"] > MOST_DUPLICATES)
-        row = {"associator": associator, "sound": f"{(~broken).sum()} of {len(drives)}"}
+        row = {"associator": associator, "sound": sound(drives)}
         for name in SUMMARY:
             interval = bootstrap_interval(drives[name].dropna().to_numpy(), np.random.default_rng(0), statistic=mean)
             row[name] = f"{interval.estimate:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
