@@ -27,7 +27,7 @@ from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of, recent_part, recognise
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec, least_pairs, parts_of, recent_part, recognise
 from slam_gym.slam.places.verification import agreeing, attributes_agree, never_together, overlap
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Relocation
 
@@ -41,7 +41,7 @@ _MANY_SEEN, _MANY_COMMON = 8, 8
 _DOUBLED = 5  # least number of candidate pairs among the neighbours of both that count as support
 _ANYWHERE = 1000.0  # inflation with which every older feature is searched
 _WINDOW = 10  # features that are judged together where the second copy of a place begins
-_MORE_PAIRS = 1.5  # factor on the least number of pairs where the whole map is searched
+_MORE_PAIRS = 1.25  # factor on the least number of pairs where the whole map is searched
 
 
 class MappedArea(NamedTuple):
@@ -146,7 +146,8 @@ def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec
     joined = join_at(a, b, found.pose)
     pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
     pairs = agreeing(joined, pairs, spec, prior=False)
-    if len(pairs) < spec.min_pairs or overlap(joined, Parts(a.n + recent, among), pairs) < spec.min_fraction:
+    few = len(pairs) < least_pairs(len(among), spec)
+    if few or overlap(joined, Parts(a.n + recent, among), pairs) < spec.min_fraction:
         return None
     return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs)
 
@@ -164,7 +165,9 @@ def join_relocated(
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
     pairs = np.column_stack([found.features[paired], a.n + features[paired]])
     pairs = agreeing(joined, pairs, spec, prior=False)
-    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs) if len(pairs) else None
+    if len(pairs) < least_pairs(a.n, spec):
+        return None
+    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs)
 
 
 def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:

@@ -14,11 +14,12 @@ by less than their true covariance: the search is conservative.
 
 A wrong pairing ruins the map; a missed pairing can be made later. So there must be enough pairs, and several more than
 the number expected by chance, which is the number that the same search finds for the mirror image of the recent part.
+The more places a building has, the more alike are some of them: a search among many features must find more pairs.
 """
 
 from __future__ import annotations
 
-import functools
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,13 +27,16 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from slam_gym.association import indexed, resolve_relocator
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import Array, IntArray, Landmarks, Relocation, Relocator, Scan
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Relocator, Scan
 from slam_gym.validation import check_settings
+
+_FEW = 100  # features; each doubling beyond requires one more pair
 
 
 @dataclass(frozen=True)
@@ -107,14 +111,26 @@ def recognise(
     scan, landmarks = as_scan(m, recent), landmarks_of(of, among)
     first, second = np.nonzero(graph.among(among))
     locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
-    search = resolve_relocator(spec.search)
-    if search is indexed:  # without a limit, clutter can make it examine every pose
-        search = functools.partial(indexed, node_limit=spec.node_limit)
-    found = search(scan, landmarks, locality)
-    if found.pairings < max(spec.min_pairs, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
+    needed = max(least_pairs(len(among), spec), required_pairings(scan, landmarks))
+    found = _search(scan, landmarks, locality, spec, needed)
+    if found.pairings < max(needed, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
         return None
-    accidental = search(mirrored(scan), landmarks, locality).pairings
-    return found if found.pairings >= accidental + spec.above_mirror else None
+    least = found.pairings - spec.above_mirror + 1
+    accidental = _search(mirrored(scan), landmarks, locality, spec, least).pairings
+    return found if accidental < least else None
+
+
+def _search(scan: Scan, landmarks: Landmarks, locality: Locality, spec: RecognitionSpec, least: int) -> Relocation:
+    """The answer of the search of `spec`; that of `indexed` has at least `least` pairings or none, within a limit."""
+    search = resolve_relocator(spec.search)
+    if search is indexed:  # without the limits, clutter can make it examine every pose
+        return indexed(scan, landmarks, locality, min_pairings=max(least, 2), node_limit=spec.node_limit)
+    return search(scan, landmarks, locality)
+
+
+def least_pairs(among: int, spec: RecognitionSpec) -> int:
+    """The least number of pairs that tell a place from all others, where `among` features are searched."""
+    return spec.min_pairs + max(math.ceil(math.log2(max(among, 1) / _FEW)), 0)
 
 
 def as_scan(m: StochasticMap, group: IntArray) -> Scan:
