@@ -7,7 +7,7 @@ legal; maps must stay finite and positive semi-definite; the rewards of an explo
 error; and memory in the last fifth of the episodes may be at most 5 % above that in the second. Episode N depends only
 on the seed and N: `--first N --ticks 1` repeats it. With --associator, every episode is an exploration with it, at
 noise × 20, with 10 spurious measurements per scan and 30 people, and no tick may take more than a second of CPU time
-(steps that compile a loop are not timed).
+(steps that compile or load a loop are not timed).
 The exit status is 1 if anything broke.
 
     python benchmarks/long_run.py --ticks 1000000                        # an hour and a half
@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numba.core import event
 
 from benchmarks.common import options, resident, timed
 from slam_gym import ASSOCIATORS, RELOCATORS, SCENARIOS, Scenario
+from slam_gym._jit import ready
 from slam_gym.scenarios import overridden
 from slam_gym.world.generators import OfficeGenerator
 
@@ -134,16 +134,15 @@ def main() -> None:
     ticks, length = (200, 20) if a.quick else (a.ticks, a.length)
     total, number, broken = 0, a.first, 0
     megabytes: list[float] = []
-    worst, when, known, compilations = 0.0, "never", 0, event.RecordingListener()
-    event.register("numba:compile", compilations)
+    worst, when, loops = 0.0, "never", 0
     while total < ticks:
         words, env = episode(number, a.seed, length, a.associator)
         try:
             for step in checked(env, number):
                 total += step.ticks
-                if len(compilations.buffer) == known and step.seconds > worst * step.ticks:
+                if ready() == loops and step.seconds > worst * step.ticks:
                     worst, when = step.seconds / step.ticks, words
-                known = len(compilations.buffer)
+                loops = ready()
         except Exception as error:
             broken += 1
             print(f"BROKEN {words}: {type(error).__name__}: {error}", flush=True)

@@ -40,6 +40,7 @@ _SEEN, _COMMON = 3, 3  # least number of scans that saw each of two duplicates, 
 _MANY_SEEN, _MANY_COMMON = 8, 8
 _DOUBLED = 5  # least number of candidate pairs among the neighbours of both that count as support
 _ANYWHERE = 1000.0  # inflation with which every older feature is searched
+_DRIFT = 3.0  # factor on the largest distance of the pairs found, since copies drift apart from there
 _WINDOW = 10  # features that are judged together where the second copy of a place begins
 _MORE_PAIRS = 1.25  # factor on the least number of pairs where the whole map is searched
 
@@ -121,8 +122,8 @@ def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
     moved, positions, by_id = transform(found.pose, m.positions), m.positions, np.argsort(m.ids)
     paired = found.features != UNPAIRED
     copies, originals = parts.recent[paired], parts.older[found.features[paired]]
-    apart = 3.0 * float(np.hypot(*(moved[copies] - positions[originals]).T).max())
-    copied = np.tri(m.n, k=-1, dtype=np.bool_) & (cdist(moved[by_id], positions[by_id]) <= apart)
+    tolerance = _DRIFT * float(np.hypot(*(moved[copies] - positions[originals]).T).max())
+    copied = np.tri(m.n, k=-1, dtype=np.bool_) & (cdist(moved[by_id], positions[by_id]) <= tolerance)
     has_original, ids = copied.any(axis=1), m.ids[by_id]
     first = int(np.searchsorted(ids, m.ids[copies].min()))
     while first > _WINDOW and has_original[first - _WINDOW : first].mean() >= 0.5:

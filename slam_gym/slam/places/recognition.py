@@ -121,10 +121,10 @@ def recognise(
 
 
 def _search(scan: Scan, landmarks: Landmarks, locality: Locality, spec: RecognitionSpec, least: int) -> Relocation:
-    """The answer of the search of `spec`; that of `indexed` has at least `least` pairings or none, within a limit."""
+    """The answer of the search of `spec`. `indexed` finds nothing below `least` pairings, and gives up at a limit."""
     search = resolve_relocator(spec.search)
     if search is indexed:  # without the limits, clutter can make it examine every pose
-        return indexed(scan, landmarks, locality, min_pairings=max(least, 2), node_limit=spec.node_limit)
+        return indexed(scan, landmarks, locality, min_pairings=max(least, 3), node_limit=spec.node_limit)
     return search(scan, landmarks, locality)
 
 

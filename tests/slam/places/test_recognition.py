@@ -49,6 +49,7 @@ def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
         pairs = loop_in(m, graph)
         assert len(pairs) >= 10, f"seed {seed}"
         np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1] - 40)
+        assert len(find_loop(m, graph, RecognitionSpec(above_mirror=20))) == 0  # of at most 14
 
 
 def test_other_ground_is_not_taken_for_old() -> None:
@@ -88,8 +89,7 @@ def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
 def test_few_pairs_close_no_loop() -> None:
     rng = np.random.default_rng(5)
     older = field(rng, 40)
-    m, graph = layered(rng, older, np.concatenate([older[:7], field(rng, 7)]))
-    assert len(loop_in(m, graph)) == 0
+    assert len(loop_in(*layered(rng, older, np.concatenate([older[:7], field(rng, 7)])))) == 0
 
 
 def drifting(rng: np.random.Generator, n: int) -> StochasticMap:
