@@ -101,7 +101,7 @@ def problem(
     pose = np.diag([0.3, 0.3, heading_sigma]) ** 2
     mixing = 0.05 * rng.standard_normal((2 * n, 2 * n))
     P = jacobian @ pose @ jacobian.T + mixing @ mixing.T / max(n, 1) + 1e-3 * np.eye(2 * n)
-    R = np.array([_covariance(rng, noise) for _ in range(m)]).reshape(m, 2, 2)
+    R = np.array([random_covariance(rng, noise) for _ in range(m)]).reshape(m, 2, 2)
     drawn = positions.ravel() + (np.linalg.cholesky(P) @ rng.standard_normal(2 * n) if n else 0.0)
     points = rng.uniform(-spread, spread, (m, 2))
     real = rng.permutation(min(m, n))[: round((1.0 - spurious) * min(m, n))]
@@ -117,7 +117,7 @@ def problem(
     return Scan.from_points(points, R), prediction
 
 
-def _covariance(rng: np.random.Generator, sigma: float) -> Array:
+def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
     a = rng.standard_normal((2, 2))
     return sigma**2 * (a @ a.T + 0.5 * np.eye(2))
 

@@ -135,9 +135,14 @@ WIDE = {"width": 3000, "margin": 1e9}
 """Search options under which no hypothesis of a small problem is dropped."""
 
 
-def small_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:
-    """Most have a view, and it does not move: hypotheses that agree in what they see may share a view that does."""
+def bare_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:
+    """So small that every hypothesis can be enumerated; without a view."""
     rng = np.random.default_rng(seed)
     m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
-    scan, prediction = problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
+    return problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
+
+
+def small_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:
+    """Most have a view, and it does not move: hypotheses that agree in what they see may share a view that does."""
+    scan, prediction = bare_problem(seed, **options)
     return scan, dressed(prediction, (0, 1, 3, 3)[seed % 4])

@@ -5,23 +5,17 @@ Nothing here calls the package's own constraints, location or searches.
 
 from __future__ import annotations
 
-import functools
 import itertools
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
+from tests.oracles.association import gate, random_covariance
 from tests.oracles.geometry import rigid_motions
 
 Pairs = list[tuple[int, int]]
-
-
-def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
-    a = rng.standard_normal((2, 2))
-    return sigma**2 * (a @ a.T + 0.5 * np.eye(2))
 
 
 def correlated(rng: np.random.Generator, positions: Array, sigma: float, drift: float) -> Array:
@@ -80,12 +74,6 @@ def view(rng: np.random.Generator, pose: Array, positions: Array, sigma: float) 
 def errors(pose: Array, z: Array, F: Array) -> Array:
     """e (k, 2) = F − pose ⊕ z."""
     return F - pose[:2] - z @ rotation(pose[2]).T
-
-
-@functools.cache
-def gate(dof: int, confidence: float) -> float:
-    """χ²_{dof,conf}."""
-    return float(chi2.ppf(confidence, dof))
 
 
 def agree_in_what_they_are(scan: Scan, landmarks: Landmarks, i: int, j: int, confidence: float) -> bool:
@@ -384,7 +372,7 @@ def check_against(
     for other, spread, _ in fits.values():
         delta = other - pose
         delta[2] = wrap_angle(delta[2])
-        elsewhere += delta @ np.linalg.solve(covariance + spread, delta) >= chi2.ppf(0.99, 3)
+        elsewhere += delta @ np.linalg.solve(covariance + spread, delta) >= gate(3, 0.99)
     assert found.ties == elsewhere and found.ambiguous == (elsewhere > 0)
 
 

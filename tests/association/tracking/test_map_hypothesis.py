@@ -16,12 +16,6 @@ RATES = densities.Rates(0.8, 0.07)
 MODEL = {"detection": RATES.detection, "density": RATES.density}
 
 
-def small_problem(seed, **options):
-    rng = np.random.default_rng(seed)
-    m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
-    return oracles.problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
-
-
 def log_density(scan, prediction, rows):
     return densities.log_density(scan, prediction, rows, RATES)
 
@@ -54,7 +48,7 @@ def check(answer, prediction, ranking):
 
 @for_seeds(120)
 def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
-    scan, prediction = small_problem(seed)
+    scan, prediction = densities.bare_problem(seed)
     prediction = densities.dressed(prediction, seed)
     everything = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
     answer = map_hypothesis(scan, prediction, **MODEL, **WIDE)
@@ -65,7 +59,7 @@ def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(see
 @for_seeds(60)
 def test_with_locality_what_is_near_is_decided_first(seed):
     # localities without strays: each pairing is local to all that are local to the first
-    scan, prediction = small_problem(500 + seed, locality=True)
+    scan, prediction = densities.bare_problem(500 + seed, locality=True)
     related = grouped(prediction, seed)
     prediction, near = densities.dressed(oracles.related_by(prediction, related), seed), prediction.near
     ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
