@@ -30,12 +30,13 @@ costs a sixth of the right ones: many a room is its own mirror image.)
 
 With a prior on the pose, the same rule applies to old features. The robot has not seen these lately, and so knows their
 positions relative to itself less well. Old features in whose gates too many other features are expected are not offered
-to associators (`unambiguous_rows`). Pairings with the remaining old features are accepted where they are hardly all
-accidental. The true source of a measurement that is paired with an old feature may be another one that is not mapped
-yet: a door has two jambs. The number n_i of other features expected in the gate of a pairing, of size √det S_i, is the
-mean number of neighbours of a feature within such a gate. The larger of two means is used, over the features in reach
-and over the whole map with a circle of the same area, because the features in reach say little where little is mapped
-so far. Of l measurements that no recently seen feature explains, k match other features, all jointly compatible, in
+to associators (`mapping.measurement.keep_unambiguous`). Pairings with the remaining old features are accepted where
+they are hardly all accidental. The true source of a measurement that is paired with an old feature may be another one
+that is not mapped yet: a door has two jambs. The number n_i of other features expected in the gate of a pairing, of
+size √det S_i, is the mean number of neighbours of a feature within such a gate. The larger of two means is used, over
+the features in reach and over the whole map with a circle of the same area, because the features in reach say little
+where little is mapped so far. Of l measurements that no recently seen feature explains, k match other features, all
+jointly compatible, in
 
     (l over k) · V_{2k} γ_{2k}^k √det S · Π n_i / (π γ_2 √det S_i)
 
@@ -54,13 +55,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import gammaln, logsumexp, xlogy
 
-from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, joint_gates
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.relocation.arrays import map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import difference_covariances, unary_table
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
-from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
 EXPLAINED = 0.7  # fraction of a scan above which no further pairing is required
@@ -91,15 +90,11 @@ def min_pairings(
     `crowding` is that of the map for the extent of the scan, if already known. Raises ValueError as `scan_arrays` and
     `map_arrays` do, and unless 0 < probability < 1.
     """
-    return least_pairings(log_expected(scan, landmarks, confidence=confidence, crowding=crowding), probability)
-
-
-def least_pairings(log_numbers: Array, probability: float) -> int:
-    """`min_pairings` from log E_k (m + 1,)."""
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
+    log_numbers = log_expected(scan, landmarks, confidence=confidence, crowding=crowding)
     pairings = max(3, int(np.flatnonzero(log_numbers >= math.log(probability))[-1]) + 1)
-    return max(pairings, min(pairings + 1, math.ceil(EXPLAINED * (len(log_numbers) - 1))))
+    return max(pairings, min(pairings + 1, math.ceil(EXPLAINED * len(scan))))
 
 
 def log_expected(
@@ -183,7 +178,7 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
         return np.full(len(scan), float(len(landmarks) > 0))
     step = max(len(landmarks) // _SAMPLE, 1)
     attributes = landmarks.sizes[::step], landmarks.size_variances[::step], landmarks.kinds[::step]
-    passed = unary_table(scan_arrays(scan), *attributes, chi2_gate(1, confidence))
+    passed = unary_table(scan_arrays(scan)[2:], attributes, chi2_gate(1, confidence))
     fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)
     return fractions
 
@@ -208,45 +203,6 @@ def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
     neighbours[order[1:][shared]] = order[:-1][shared]
     others = np.sum([counts[cells_at(dx, dy)] for dx in (-1, 0, 1) for dy in (-1, 0, 1)], axis=0) - 1
     return others, neighbours
-
-
-Rows = tuple[IntArray, BoolArray, Array, Array, IntArray]
-"""The rows of a prediction: features, whether they are near, positions (k, 2), covariances (k, 2, 2), sightings."""
-
-
-@compiled
-def unambiguous_rows(rows: Rows, P: Array, per_area: float, most: float, selected: IntArray) -> int:
-    """The rows of a prediction without old features for which more than `most` accidental matches are expected.
-
-    Old features are those that are not near: not local to any that was paired lately. The uncertainty of an old feature
-    is measured relative to the most central near feature, because the uncertainty of the robot's pose is common to all.
-    The number of other features in its gate is proportional to the gate's area, as if features were uniformly
-    distributed.
-
-    `P` is the covariance of the map, upper triangle; `per_area` is the number of features in a gate for each [m²] of
-    √det of its covariance. The rows are written to `selected` (k,). Returns their number.
-    """
-    features, near, positions, _, _ = rows
-    x = y = 0.0
-    near_count = 0
-    for row in range(len(near)):
-        if near[row]:
-            x, y, near_count = x + positions[row, 0], y + positions[row, 1], near_count + 1
-    central, least = UNPAIRED, math.inf
-    for row in range(len(near)):
-        if near[row]:
-            u, v = positions[row, 0] - x / near_count, positions[row, 1] - y / near_count
-            if u * u + v * v < least:
-                central, least = features[row], u * u + v * v
-    count = 0
-    for row in range(len(near)):
-        if not near[row] and central != UNPAIRED:
-            xx, xy, yy = relative_covariance(P, central, features[row])
-            if per_area * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
-                continue
-        selected[count] = row
-        count += 1
-    return count
 
 
 def are_accidental(scan: Scan, prediction: Prediction, features: IntArray, max_probability: float) -> BoolArray:

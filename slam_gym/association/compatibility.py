@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import Array, BoolArray, IntArray, Scan
-
-Entry = TypeVar("Entry", bound=np.generic)
 
 _FAULTS = (
     "",
@@ -72,21 +69,6 @@ def joint_gates(pairings: int, confidence: float) -> Array:
     return np.array([0.0] + [chi2_gate(2 * p, confidence) for p in range(1, pairings + 1)])
 
 
-def plain(array: NDArray[Entry]) -> NDArray[Entry]:
-    """The array itself, or for a read-only array a view that is marked writeable.
-
-    Compiled functions would be compiled once more for read-only arrays; they write to none of their arguments.
-    """
-    if array.flags.writeable:
-        return array
-    view = array.view()
-    try:
-        view.flags.writeable = True
-    except ValueError:  # its memory is read-only
-        return array.copy()
-    return view
-
-
 def individual(
     scan: Scan,
     prediction: Prediction,
@@ -102,8 +84,7 @@ def individual(
     if measurements is None:
         measurements = np.arange(len(scan.points))
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
-    points, noise = plain(scan.points), plain(scan.covariances)
-    positions, covariances = plain(prediction.positions), plain(prediction.covariances)
+    (points, noise, *_), (positions, covariances, _) = scan.arrays, prediction.points
     most = len(positions)  # of a measurement: no limit
     fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
     check_fault(fault)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
 from typing import Any
 
 from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.relocation.observation import observe_walk
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
-from slam_gym.association.walks import Observation, Order, Policy, play
+from slam_gym.association.walks import Observation, Order, Policy
 from slam_gym.types import BoolArray, Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
 
 
@@ -25,7 +25,7 @@ def from_policy(
     Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
     """
     check_arguments(candidates, order, compatibility)
-    return _PolicyAssociator(policy, candidates, order, compatibility)
+    return functools.partial(_associate, policy=policy, candidates=candidates, order=order, compatibility=compatibility)
 
 
 def relocator_from_policy(policy: Policy, *, measurements: int = 20, **settings: Any) -> Relocator:
@@ -36,7 +36,7 @@ def relocator_from_policy(policy: Policy, *, measurements: int = 20, **settings:
     """
     if measurements < 1:
         raise ValueError(f"measurements: {measurements} is less than 1")
-    return _PolicyRelocator(policy, WalkSpec(**settings), measurements)
+    return functools.partial(_relocate, policy=policy, spec=WalkSpec(**settings), shown=measurements)
 
 
 def greedy(observation: Observation, mask: BoolArray) -> int:
@@ -48,26 +48,17 @@ def greedy(observation: Observation, mask: BoolArray) -> int:
     return int(mask.argmax())
 
 
-@dataclass(frozen=True, slots=True)
-class _PolicyAssociator:
-    policy: Policy
-    candidates: int
-    order: Order
-    compatibility: Compatibility
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
-        play(walk, self.policy, walk.observation)
-        return walk.hypothesis()
+def _associate(scan: Scan, prediction: Prediction, *, policy: Policy, **arguments: Any) -> Hypothesis:
+    walk = Walk(scan, prediction, **arguments)
+    while not walk.done:
+        walk.take(int(policy(walk.observation(), walk.mask.copy())))
+    return walk.hypothesis()
 
 
-@dataclass(frozen=True, slots=True)
-class _PolicyRelocator:
-    policy: Policy
-    spec: WalkSpec
-    measurements: int
-
-    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None = None) -> Relocation:
-        walk = RelocationWalk(self.spec, scan, landmarks, locality)
-        play(walk, self.policy, lambda: observe_walk(walk, self.measurements))
-        return walk.answer()
+def _relocate(
+    scan: Scan, landmarks: Landmarks, locality: Locality | None = None, *, policy: Policy, spec: WalkSpec, shown: int
+) -> Relocation:
+    walk = RelocationWalk(spec, scan, landmarks, locality)
+    while not walk.done:
+        walk.take(int(policy(observe_walk(walk, shown), walk.mask.copy())))
+    return walk.answer()

@@ -8,6 +8,7 @@ are in view.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -20,19 +21,12 @@ from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
-from slam_gym.mapping.measurement import Locality, RowArrays, foresee, joint_covariance, rows_for
+from slam_gym.mapping.measurement import BAD_ODOMETRY, BAD_SCAN, RowArrays, foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
-from slam_gym.types import (
-    Array,
-    BoolArray,
-    Experience,
-    Hypothesis,
-    IntArray,
-    Odometry,
-    Scan,
-)
+from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
 from slam_gym.types._fields import floats, kinds_of, quick, sizes_of
+from slam_gym.validation import check_scan
 
 Entry = TypeVar("Entry", bound=np.generic)
 
@@ -52,7 +46,7 @@ _NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np
 _NOTHING = np.empty(0)
 _NO_NEIGHBOURS, _NO_DEGREES = np.empty((0, 0), np.int64), np.empty(0, np.int64)
 _NO_RECENT = np.empty(0, np.int64)
-_STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
+_STILL, _CERTAIN, _NOT_MEASURED = np.empty(0), np.zeros((3, 3)), (np.empty((0, 2)), np.empty((0, 2, 2)))
 _FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `RowArrays`
 
 
@@ -101,12 +95,11 @@ def joint(expected: Expected, rows: IntArray) -> Array:
 
 
 @compiled
-def visibility(expected: Expected, positions: Array, covariances: Array) -> tuple[Array, int]:
-    """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view, and the index of the first
-    one whose numbers are not finite, or −1. The probabilities are (0,) where visibility is unknown."""
+def visibility(expected: Expected, positions: Array, covariances: Array) -> Array:
+    """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view; (0,) where unknown."""
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
-        return expected.visible, -1
-    return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])
+        return expected.visible
+    return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])[0]
 
 
 @quick
@@ -142,11 +135,6 @@ class Prediction:
         """`positions`, `covariances` and `sizes`; do not write to them."""
         k = self.size[0]
         return self.rows[3][:k], self.rows[4][:k], self.rows[1][ekf.SIZES, :k]
-
-    @property
-    def expected(self) -> tuple[Array, Array, int]:
-        """Positions (≥ k, 2) and covariances (≥ k, 2, 2), and k; do not write to them."""
-        return self.rows[3], self.rows[4], self.size[0]
 
     @property
     def features(self) -> IntArray:
@@ -330,8 +318,10 @@ def predict(
     reach: float,
     *,
     odometry: Odometry | None = None,
+    scan: Scan | None = None,
     graph: CovisibilityGraph | None = None,
     recent: IntArray = _NO_RECENT,
+    accidental: tuple[float, float] = (0.0, math.inf),
     sight: ViewsFrom | None = None,
     view_moves: bool = True,
     experience: Experience | None = None,
@@ -339,51 +329,33 @@ def predict(
     """Move the robot by `odometry`, and predict what a scan should show: the features within `reach` [m] + 3σ.
 
     Arguments:
+        scan: checked before the robot moves.
         graph: covisibility graph that defines the localities; None: all features are local to each other.
         recent: (r,) features paired in recent scans, or UNPAIRED; they and the features local to them are near.
+        accidental: χ² gate of a pairing, and the number of accidental matches expected in the gate of a feature that is
+            not near above which it is left out.
         sight: computes what the sensor has in view from a pose.
         view_moves: whether a hypothesis may compute visibility from the pose that it implies; False where the pose is
             poorly known.
         experience: of the associator.
 
-    Raises ValueError where the odometry is not finite or its covariance is not positive semi-definite.
+    Raises ValueError where the odometry is not finite or its covariance is not positive semi-definite, and as
+    `check_scan`.
     """
-    moving = odometry is not None
-    motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
-    rows, pose, locality = rows_for(m.n), np.empty(4), (*local_arrays(graph), recent)
-    k = foresee(m.arrays, (m.n, m.step), (moving, motion, Q), float(reach), m.spec.second_order, locality, pose, rows)
-    if k < 0:
-        raise refused_odometry(odometry)
-    if moving:
+    motion = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
+    measured = _NOT_MEASURED if scan is None else (scan.points, scan.covariances)
+    neighbours, degrees = (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
+    spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)
+    k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (neighbours, degrees, recent), pose, rows)
+    if k == BAD_SCAN and scan is not None:
+        check_scan(scan)
+    if k == BAD_ODOMETRY:
+        raise ValueError(f"odometry: not finite, or its covariance is not positive semi-definite: {odometry}")
+    if odometry is not None:
         m.moved()
-    return foreseen(m, rows, k, pose, locality, sight, view_moves, experience)
-
-
-def foreseen(
-    m: StochasticMap,
-    rows: RowArrays,
-    k: int,
-    pose: Array,
-    locality: Locality,
-    sight: ViewsFrom | None,
-    view_moves: bool = True,
-    experience: Experience | None = None,
-) -> Prediction:
-    """The prediction of k features that have been written to `rows`. Arguments as in `foresee` and `predict`."""
-    (x, P, _, _), (neighbours, degrees, _), spec = m.arrays, locality, m.spec
+    (x, P, _, _), size = m.arrays, (k, m.n, spec.second_order, view_moves)
     source = pose, x, P, neighbours, degrees, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
-    size = k, m.n, spec.second_order, view_moves
     return Prediction(rows, source, size, spec.confidence, spec.confirmations, experience, m.estimate)
-
-
-def local_arrays(graph: CovisibilityGraph | None) -> tuple[IntArray, IntArray]:
-    """Neighbours and degrees of the graph; empty arrays for None."""
-    return (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
-
-
-def refused_odometry(odometry: Odometry | None) -> ValueError:
-    """The error for odometry by which the robot could not be moved."""
-    return ValueError(f"odometry: not finite, or its covariance is not positive semi-definite: {odometry}")
 
 
 def _locked(array: NDArray[Entry]) -> NDArray[Entry]:

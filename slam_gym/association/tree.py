@@ -12,7 +12,7 @@ A further pairing d appends two rows to every w_c: with S_d|H = l lᵀ,
 
 This is a Cholesky factorisation of the path that is updated for every candidate, in O(|H|) for each; nothing is
 factored a second time. `condition` is the only implementation of this step. Branch and bound applies it to all
-candidates that may still become legal, a walk to all candidates of later levels, the beam and 1-point RANSAC to one
+candidates that may still become legal, a walk and 1-point RANSAC to all candidates of later levels, the beam to one
 candidate at a time.
 """
 
@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.compatibility import Candidates, joint_gates, plain
+from slam_gym.association.compatibility import Candidates, joint_gates
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
 
@@ -111,8 +111,8 @@ def interpretation_tree(scan: Scan, prediction: Prediction, candidates: Candidat
     rows = candidates.rows
     all_local = np.empty((0, 0), np.bool_)
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    noise = plain(scan.covariances)
-    pairings = Pairings(candidates.slots, candidates.measured, candidates.innovations, noise, covariance, all_local, 0)
+    noise, innovations = scan.arrays[1], candidates.innovations
+    pairings = Pairings(candidates.slots, candidates.measured, innovations, noise, covariance, all_local, 0)
     gates = joint_gates(len(candidates.measurements), prediction.confidence)
     return Tree(scan, prediction, candidates, rows, pairings, gates)
 

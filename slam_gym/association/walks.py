@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,27 +29,6 @@ POSITION_SCALE, SIGMA_SCALE, SIZE_SCALE = 6.0, 0.1, 1.0  # [m]
 
 MEASURED_FIELDS = ("x", "y", "sigma_x", "correlation", "sigma_y", "size")
 """Fields of a measurement, in R. An unknown size is 0."""
-
-
-class Walk(Protocol):
-    """A walk of the interpretation tree, decision by decision, with a prior on the pose or without."""
-
-    @property
-    def mask(self) -> BoolArray:
-        """The legal actions."""
-
-    @property
-    def done(self) -> bool:
-        """Whether nothing is left to decide."""
-
-    def take(self, action: int) -> None:
-        """Carry out an action. Raises ValueError for an action that is not legal."""
-
-
-def play(walk: Walk, policy: Policy, observe: Callable[[], Observation]) -> None:
-    """Let a policy take all decisions of a walk."""
-    while not walk.done:
-        walk.take(int(policy(observe(), walk.mask.copy())))
 
 
 def squash(value: Any, scale: float) -> Any:

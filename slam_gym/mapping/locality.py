@@ -19,17 +19,14 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.types import Array, IntArray, Locality
 
 
-def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Locality:
-    """The locality of features seen together in `at_least` scans, or linked by up to `hops` such pairs.
+def covisible(graph: CovisibilityGraph, hops: int = 1) -> Locality:
+    """The locality of features seen together in a scan, or linked by up to `hops` such pairs.
 
     One hop is the source's choice. It misses pairs that lie side by side but were never seen in one scan; two hops find
-    pairs that were both seen with a third feature, but make localities several times as large. Raises ValueError where
-    either argument is below 1.
+    pairs that were both seen with a third feature, but make localities several times as large. Raises ValueError for
+    fewer than one hop.
     """
-    if at_least < 1:
-        raise ValueError(f"at_least: {at_least} is less than 1")
-    edges, counts = graph.edges()
-    return linked(graph.n, edges[counts >= at_least], hops)
+    return linked(graph.n, graph.edges().pairs, hops)
 
 
 def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:

@@ -28,7 +28,8 @@ from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays, turned
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
+from slam_gym.validation import first_bad_measurement
 
 RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
@@ -37,6 +38,12 @@ covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are
 Locality = tuple[IntArray, IntArray, IntArray]
 """Neighbours and degrees of the covisibility graph, empty where all features are near; (r,) features that recent scans
 paired, or UNPAIRED."""
+
+Rule = tuple[float, bool, float, float]
+"""Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
+the gate of an old feature above which it is not offered."""
+
+BAD_ODOMETRY, BAD_SCAN = -1, -2  # returned by `foresee` in place of a number of rows
 
 
 def rows_for(n: int) -> RowArrays:
@@ -62,17 +69,39 @@ def _relative_covariance(x: Array, P: Array, f: int) -> tuple[float, float, floa
 
 
 @compiled
-def _features_in_reach(
-    x: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
+def foresee(
+    arrays: MapArrays,
+    counts: tuple[int, int],
+    odometry: tuple[Array, Array],
+    scan: tuple[Array, Array],
+    rule: Rule,
+    locality: Locality,
+    pose: Array,
+    out: RowArrays,
 ) -> int:
-    """The number of features with ‖h_j(x)‖ ≤ reach + 3σ, where σ² is the largest eigenvalue of H_j P H_jᵀ.
+    """Move the robot by `ekf.predict`, and enter in `out` the features in reach that are not ambiguous.
 
-    Their indices (n,), positions h_j (n, 2), covariances H_j P H_jᵀ (n, 2, 2), and covariances with the robot's
-    heading H_j P e_θ (n, 2) are entered in the first rows of `out`. With `second_order`, positions and covariances are
-    mean and covariance to second order.
+    In reach are features with ‖h_j(x)‖ ≤ reach + 3σ, where σ² is the largest eigenvalue of H_j P H_jᵀ. To second order,
+    positions and covariances are mean and covariance to second order.
+
+    Arguments:
+        arrays: arrays of the map, in which the robot is moved.
+        counts: number n of its features, and number of steps that have ended in it.
+        odometry: motion (3,), or (0,) for a robot that stands still; and its covariance (3, 3).
+        scan: points (m, 2) and covariances (m, 2, 2), which are only checked.
+        pose: (4,) receives the predicted pose and the variance of its heading.
+
+    Returns the number of rows k; or BAD_SCAN or BAD_ODOMETRY, and the robot does not move.
     """
-    (features, positions, covariances, across), k = out, 0
-    c, s = math.cos(x[2]), math.sin(x[2])
+    (x, P, counted, sized), (n, step), (motion, Q) = arrays, counts, odometry
+    (reach, second_order, gate, most), (neighbours, degrees, recent), k = rule, locality, 0
+    if first_bad_measurement(scan[0], scan[1])[1]:
+        return BAD_SCAN
+    if len(motion) > 0 and not ekf.predict(x, P, 3 + 2 * n, motion, Q):
+        return BAD_ODOMETRY
+    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
+    known, sizes, near, positions, covariances, across = out
+    local, c, s = mark_local(neighbours, degrees, n, recent), math.cos(x[2]), math.sin(x[2])
     for j in range(n):
         f = 3 + 2 * j
         dx, dy = x[f] - x[0], x[f + 1] - x[1]
@@ -92,63 +121,49 @@ def _features_in_reach(
             ux, uy = ux + 0.5 * ty, uy - 0.5 * tx
             bxx, bxy, byy = P[2, 2] * xx + tx * tx, P[2, 2] * xy + tx * ty, P[2, 2] * yy + ty * ty
             xx, xy, yy = xx + 0.25 * byy, xy - 0.25 * bxy, yy + 0.25 * bxx
-        features[k] = j
+        known[0, k], known[1, k] = j, counted[ekf.KINDS, j]
+        known[2, k], known[3, k] = step - counted[ekf.FIRST_SEEN, j], counted[ekf.SEEN, j]
+        sizes[0, k], sizes[1, k], near[k] = sized[ekf.SIZES, j], sized[ekf.VARIANCES, j], local[j]
         positions[k, 0], positions[k, 1], across[k, 0], across[k, 1] = ux, uy, tx, ty
         covariances[k, 0, 0], covariances[k, 0, 1] = xx, xy
         covariances[k, 1, 0], covariances[k, 1, 1] = xy, yy
         k += 1
-    return k
+    return keep_unambiguous(out, k, P, k * gate / (reach * reach), most) if most < math.inf else k
 
 
 @compiled
-def foresee(
-    arrays: MapArrays,
-    counts: tuple[int, int],
-    odometry: tuple[bool, Array, Array],
-    reach: float,
-    second_order: bool,
-    locality: Locality,
-    pose: Array,
-    out: RowArrays,
-) -> int:
-    """`ekf.predict` if the robot moves, then predict the features in reach; their number k, or −1: odometry is invalid.
+def keep_unambiguous(rows: RowArrays, k: int, P: Array, per_area: float, most: float) -> int:
+    """Drop, of k rows, the old features for which more than `most` accidental matches are expected; returns how many
+    rows are left, in front of the others.
 
-    Arguments:
-        arrays: arrays of a map.
-        counts: number n of its features, and number of steps that have ended in it.
-        odometry: whether the robot moves, its motion (3,), and the covariance (3, 3) of the motion.
-        pose: (4,) receives the predicted pose and the variance of its heading.
-        out: receives the features.
+    Old features are those that are not near: not local to any that was paired lately. The uncertainty of an old feature
+    is measured relative to the most central near feature, because the uncertainty of the robot's pose is common to all.
+    The number of other features in its gate is proportional to the gate's area, as if features were uniformly
+    distributed: `per_area` is the number of features in a gate for each [m²] of √det of its covariance.
     """
-    (x, P, counted, sized), (n, step), (moves, motion, Q) = arrays, counts, odometry
-    (known, sizes, near, positions, covariances, across), (neighbours, degrees, recent) = out, locality
-    if moves and not ekf.predict(x, P, 3 + 2 * n, motion, Q):
-        return -1
-    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
-    features, kinds, ages, sightings = known[0], known[1], known[2], known[3]
-    k = _features_in_reach(x, P, n, reach, second_order, (features, positions, covariances, across))
-    local = mark_local(neighbours, degrees, n, recent)
+    (known, sizes, near, positions, covariances, across), x, y, near_count = rows, 0.0, 0.0, 0
     for row in range(k):
-        j = features[row]
-        kinds[row], ages[row] = counted[ekf.KINDS, j], step - counted[ekf.FIRST_SEEN, j]
-        sightings[row] = counted[ekf.SEEN, j]
-        sizes[0, row], sizes[1, row] = sized[ekf.SIZES, j], sized[ekf.VARIANCES, j]
-        near[row] = local[j]
-    return k
-
-
-@compiled
-def keep_rows(out: RowArrays, kept: IntArray) -> None:
-    """Move the rows `kept` (j,), ascending, to the front."""
-    known, sizes, near, positions, covariances, across = out
-    for row in range(len(kept)):
-        old = kept[row]  # entry by entry: slices take two seconds to compile
-        near[row] = near[old]
-        for k in range(2):
-            sizes[k, row], positions[row, k], across[row, k] = sizes[k, old], positions[old, k], across[old, k]
-            covariances[row, k, 0], covariances[row, k, 1] = covariances[old, k, 0], covariances[old, k, 1]
-        for k in range(4):
-            known[k, row] = known[k, old]
+        if near[row]:
+            x, y, near_count = x + positions[row, 0], y + positions[row, 1], near_count + 1
+    central, least, kept = UNPAIRED, math.inf, 0
+    for row in range(k):
+        if near[row]:
+            u, v = positions[row, 0] - x / near_count, positions[row, 1] - y / near_count
+            if u * u + v * v < least:
+                central, least = known[0, row], u * u + v * v
+    for row in range(k):
+        if not near[row] and central != UNPAIRED:
+            xx, xy, yy = ekf.relative_covariance(P, central, known[0, row])
+            if per_area * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
+                continue
+        near[kept] = near[row]  # entry by entry: slices take two seconds to compile
+        for i in range(2):
+            sizes[i, kept], positions[kept, i], across[kept, i] = sizes[i, row], positions[row, i], across[row, i]
+            covariances[kept, i, 0], covariances[kept, i, 1] = covariances[row, i, 0], covariances[row, i, 1]
+        for i in range(4):
+            known[i, kept] = known[i, row]
+        kept += 1
+    return kept
 
 
 @compiled

@@ -203,10 +203,14 @@ class StochasticMap:
         if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is invalid: {odometry}")
 
-    def landmarks(self) -> Landmarks:
-        """A copy of the features with full covariance (2n, 2n), for searches without a prior on the pose."""
-        landmarks = Landmarks.from_points(self.positions, covariance=self.covariance[3:, 3:])
-        return replace(landmarks, sizes=self.sizes, size_variances=self.size_variances, kinds=self.kinds)
+    def landmarks(self, features: IntArray | None = None) -> Landmarks:
+        """A copy of `features` (k,), by default of all, with full covariance (2k, 2k), for searches without a prior on
+        the pose."""
+        covariance = self.covariance[3:, 3:] if features is None else self.covariance_of(features)
+        chosen = slice(None) if features is None else features
+        landmarks = Landmarks.from_points(self.positions[chosen], covariance=covariance)
+        attributes = {name: getattr(self, name)[chosen] for name in ("sizes", "size_variances", "kinds")}
+        return replace(landmarks, **attributes)
 
     def place(self, pose: ArrayLike, covariance: ArrayLike) -> None:
         """Put the robot at `pose` (3,) with `covariance` (3, 3), without correlation with the features.

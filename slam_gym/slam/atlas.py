@@ -35,7 +35,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam_gym.association.acceptance import are_accidental
-from slam_gym.association.compatibility import plain
 from slam_gym.association.prediction import Prediction, SlamStep, StartRule, expected_of
 from slam_gym.association.tracking.near_first import joint_distance_of
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -68,13 +67,6 @@ class AtlasSpec:
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-
-class Accepted(NamedTuple):
-    """The part of a hypothesis that is learned from."""
-
-    hypothesis: Hypothesis
-    rule: StartRule  # by which measurements start features
 
 
 class FusionRecord(NamedTuple):
@@ -116,33 +108,37 @@ class Atlas:
         """
         return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
 
-    def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float) -> Accepted:
-        """The hypothesis without pairings with old features that may all be accidental: see `are_accidental`.
+    def accepted(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float
+    ) -> tuple[Hypothesis, StartRule]:
+        """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`), and the
+        rule by which measurements start features.
 
         An associator that weighs all hypotheses already refuses ambiguous pairings. With `starts_from_rejected` only
         its pairings count, and new features start by the rule of the step, whose gate is `new_gate`.
         """
         weighs_all = hypothesis.experience is not None
         if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
-            return Accepted(hypothesis, StartRule.of(hypothesis))
+            return hypothesis, StartRule.of(hypothesis)
         rejected = are_accidental(scan, prediction, hypothesis.features, self.max_chance_probability)
         if not rejected.any():
             believed = replace(hypothesis, new=None) if weighs_all else hypothesis
-            return Accepted(believed, StartRule.of(believed))
+            return believed, StartRule.of(believed)
         features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
         rows = np.where(features == UNPAIRED, UNPAIRED, np.searchsorted(prediction.features, features))
         distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
         remaining = replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
         if self.starts_from_rejected:
             new, near = np.empty(len(scan), np.bool_), prediction.near
-            expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
-            fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
-            return Accepted(replace(remaining, new=new), StartRule.FITS_NOTHING_NEAR)
-        return Accepted(remaining, StartRule.FITS_NOTHING)
+            expected = prediction.positions[near], prediction.covariances[near]
+            fit_nothing(*scan.arrays[:2], features, expected, new_gate, new)
+            return replace(remaining, new=new), StartRule.FITS_NOTHING_NEAR
+        return remaining, StartRule.FITS_NOTHING
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""
-        return self.spec.patience is not None and tracker.lost and tracker.lost_for >= self.spec.patience
+        patience = self.spec.patience
+        return patience is not None and tracker.lost and tracker.doubted - tracker.scans >= patience
 
     def next_map(self, m: StochasticMap, graph: CovisibilityGraph) -> StochasticMap:
         """An empty map to go on in. The map `m` becomes inactive, or is dropped if it is too small to be recognised."""

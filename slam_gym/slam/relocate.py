@@ -77,19 +77,6 @@ class Tracker:
         """Whether so many consecutive scans were doubted that the robot is lost."""
         return self.doubted >= self.scans
 
-    @property
-    def lost_for(self) -> int:
-        """Number of scans before the last one for which the robot was lost; negative while it is not lost."""
-        return self.doubted - self.scans
-
-    def enough(self, blind: bool) -> tuple[float, bool]:
-        """The fraction of the measurements that, once paired, makes a scan believed without further tests.
-
-        No fraction is enough for a lost robot. The second result says whether a single pairing is enough: so it is if
-        the prediction is `blind`, without a view, because the other measurements may then show new ground.
-        """
-        return (math.inf, False) if self.lost else (max(_BELIEVED, self.fraction), blind)
-
     def believes(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether the scan has enough pairings to be learned from; counts it as doubted otherwise.
 
@@ -98,9 +85,10 @@ class Tracker:
         blind = not prediction.has_view
         if blind:
             self.look(scan.points)
-        (fraction, one_is_enough), measured = self.enough(blind), len(hypothesis.features)
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
-        has_enough = pairings >= fraction * measured or (one_is_enough and pairings > 0)
+        explained = pairings >= max(_BELIEVED, self.fraction) * len(hypothesis.features)
+        # without a view a single pairing is enough: the other measurements may show new ground
+        has_enough = not self.lost and (explained or (blind and pairings > 0))
         if has_enough or not self._misses_too_much(prediction, hypothesis):
             self.accept(hypothesis)
             return True

@@ -10,36 +10,16 @@ import numpy as np
 
 from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import (
-    Associator,
-    Prediction,
-    SlamStep,
-    StartRule,
-    foreseen,
-    local_arrays,
-    refused_odometry,
-)
+from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
-from slam_gym.mapping.measurement import rows_for
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import (
-    BAD_ODOMETRY,
-    BAD_SCAN,
-    DONE,
-    NARROW,
-    NOT_ADDED,
-    REFUSED,
-    Settings,
-    forget,
-    learn,
-    predict,
-)
+from slam_gym.slam.step import DONE, NARROW, NOT_ADDED, REFUSED, Settings, learn
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -53,7 +33,7 @@ from slam_gym.types import (
     Relocation,
     Scan,
 )
-from slam_gym.validation import check_hypothesis, check_inputs, check_scan, check_settings
+from slam_gym.validation import check_hypothesis, check_inputs, check_settings
 
 _NO_FEATURES = np.empty(0, np.int64)
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -180,7 +160,7 @@ class Slam:
         graph.make_room(count)
         is_decided, recent, ids = hypothesis.new is not None, self._row_for(count), np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
-        decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.expected
+        decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
         ended = NARROW
         while ended == NARROW:
             ended, detail, added = learn(
@@ -197,7 +177,7 @@ class Slam:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
         self._missed_loops.learn(self._learned, prediction, hypothesis)
-        removed = self._forget(detail) if detail else _NO_FEATURES
+        removed = self._forget() if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
@@ -274,20 +254,16 @@ class Slam:
 
     def _predict(self, odometry: Odometry, scan: Scan, most_accidental: float) -> Prediction:
         """Predict the features in reach, without old ones whose gates expect more than `most_accidental` matches."""
-        m, rows, pose = self.map, rows_for(self.map.n), np.empty(4)
-        motion, measured, reach = (odometry.motion, odometry.covariance), (scan.points, scan.covariances), self.reach
+        reach = self.reach
         if self.spec.reach is None:
-            reach = max(reach, _farthest(*measured))
-        rule = reach, m.spec.second_order, self._gate, most_accidental
-        locality = (*local_arrays(self.covisibility if self.spec.locality else None), self._recent.ravel())
-        k = predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
-        if k == BAD_SCAN:
-            check_scan(scan)
-        if k == BAD_ODOMETRY:
-            raise refused_odometry(odometry)
-        m.moved()
+            reach = max(reach, _farthest(scan.points, scan.covariances))
+        prediction = predict(
+            self.map, reach, odometry=odometry, scan=scan, graph=self.covisibility if self.spec.locality else None,
+            recent=self._recent.ravel(), accidental=(self._gate, most_accidental), sight=self.view_from,
+            experience=self._experience,
+        )  # fmt: skip
         self._farthest = reach
-        return foreseen(m, rows, k, pose, locality, self.view_from, experience=self._experience)
+        return prediction
 
     def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
@@ -345,14 +321,14 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self, due: int) -> IntArray:
-        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
+    def _forget(self) -> IntArray:
+        """Remove the features that were not confirmed in time, renumber what is stored by feature, and return the
+        removed ids."""
         m, graph = self.map, self.covisibility
-        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
         *_, confirmations, before = self._settings()
-        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
-        m.learned(-due)
-        graph.learned(-due)
+        due = (m.seen < confirmations) & (m.first_seen < before)
+        removed, became = m.ids[due], np.where(due, UNPAIRED, np.cumsum(~due) - 1)
+        graph.keep(m.remove(np.flatnonzero(due)))
         self._renumber(became)
         return removed
 

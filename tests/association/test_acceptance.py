@@ -10,17 +10,15 @@ from scipy.stats import chi2
 
 from slam_gym.association import gcbb, jcbb
 from slam_gym.association.acceptance import (
-    Rows,
     are_accidental,
     crowding_of,
     extent,
     log_expected,
     log_expected_old,
     min_pairings,
-    unambiguous_rows,
 )
-from slam_gym.association.compatibility import plain
-from slam_gym.association.prediction import predict
+from slam_gym.association.prediction import Prediction, predict
+from slam_gym.mapping.measurement import keep_unambiguous
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.oracles import relocation as oracles
@@ -141,7 +139,7 @@ def test_a_probability_that_is_none_is_refused():
 GATE = 9.21  # χ² of two degrees of freedom at 0.99
 
 
-def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, Rows]:
+def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, Prediction]:
     """A map of n features that were measured from poses less and less certain, and what it predicts of them."""
     m, half = StochasticMap(MapSpec(confirmations=1)), n // 2
     for count in (half, n - half):
@@ -149,15 +147,17 @@ def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, 
         points[1] = points[0] + [0.8, 0.1]  # as a door has two jambs
         m.add(Scan.from_points(points, sigma=0.03), np.arange(count))
         m.predict(Odometry(np.array([1.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.02]) ** 2 * rng.uniform(0.0, 3.0)))
-    p, near = predict(m, 30.0), rng.random(n) < 0.4
-    return m, (plain(p.features), near, plain(p.positions), plain(p.covariances), plain(p.sightings))
+    p = predict(m, 30.0)
+    p.rows[2][:] = rng.random(n) < 0.4
+    return m, p
 
 
 def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate() -> None:
     per_area, most, left = 10.0, 0.5, []
     for seed in range(40):
-        m, (features, near, at, *others) = old_and_near(np.random.default_rng(seed))
-        near &= seed % 4 > 0  # now and then none
+        m, p = old_and_near(np.random.default_rng(seed))
+        p.rows[2][:] &= seed % 4 > 0  # now and then none
+        features, near, at = p.features.copy(), p.near.copy(), p.positions.copy()
         expected = np.zeros(len(features))
         if near.any():
             amid = features[near][np.hypot(*(at[near] - at[near].mean(axis=0)).T).argmin()]
@@ -165,9 +165,9 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
                 P = m.covariance_of(np.array([amid, features[row]]))
                 relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
                 expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
-        kept = np.empty(len(features), np.int64)
-        count = unambiguous_rows((features, near, at, *others), m.arrays[1], per_area, most, kept)
-        np.testing.assert_array_equal(kept[:count], np.flatnonzero(near | (expected <= most)))
+        count, kept = keep_unambiguous(p.rows, len(p), m.arrays[1], per_area, most), near | (expected <= most)
+        np.testing.assert_array_equal(p.features[:count], features[kept])
+        np.testing.assert_array_equal(p.positions[:count], at[kept])
         left.append(len(features) - count)
     assert 0 in left and max(left) > 4
 
@@ -177,9 +177,8 @@ def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> 
     stood = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        m, (features, near, *_) = old_and_near(rng)
-        p = predict(m, 30.0)
-        p.rows[2][: len(p)] = near
+        m, p = old_and_near(rng)
+        features, near = p.features, p.near
         rows = rng.permutation(len(p))[: rng.integers(1, 8)]
         decisions, sigma = np.append(features[rows], [UNPAIRED, UNPAIRED]), rng.uniform(0.01, 0.4)
         scan = Scan.from_points(rng.uniform(-6.0, 6.0, (len(decisions), 2)), sigma=sigma)

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slam_gym.association.compatibility import plain
-from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, ScanArrays
 from slam_gym.validation import check_scan
 
+Entry = TypeVar("Entry", bound=np.generic)
+
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the product of the variances
-
-
-class ScanArrays(NamedTuple):
-    """The arrays of a scan."""
-
-    points: Array  # (m, 2) [m] in R
-    noise: Array  # (m, 2, 2) [m²]
-    sizes: Array  # (m,) [m], NaN where unknown
-    size_variances: Array  # (m,) [m²]
-    kinds: IntArray  # (m,)
 
 
 class Mapped(NamedTuple):
@@ -42,8 +34,8 @@ def scan_arrays(scan: Scan) -> ScanArrays:
     check_scan(scan)
     if np.any(scan.size_variances < 0.0):
         raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
-    of_points = as_floats(scan.points), as_floats(scan.covariances)
-    return ScanArrays(*of_points, as_floats(scan.sizes), as_floats(scan.size_variances), as_integers(scan.kinds))
+    points, noise = compact(scan.points), compact(scan.covariances)
+    return points, noise, compact(scan.sizes), compact(scan.size_variances), compact(scan.kinds)
 
 
 def map_arrays(landmarks: Landmarks) -> Mapped:
@@ -85,15 +77,15 @@ def map_arrays(landmarks: Landmarks) -> Mapped:
 def unchecked_map(landmarks: Landmarks) -> Mapped:
     """The arrays of a map, unchecked."""
     fields: list[Any] = [getattr(landmarks, name) for name in Mapped._fields]
-    arrays: list[Any] = [as_integers(array) if array.dtype.kind == "i" else as_floats(array) for array in fields]
-    return Mapped(*arrays)
+    types = (np.int64 if field.dtype.kind == "i" else np.float64 for field in fields)
+    return Mapped(*[compact(field.astype(dtype, copy=False)) for field, dtype in zip(fields, types)])
 
 
 def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArray]:
     """Starts and members; both empty for None. Raises ValueError unless the locality is one of n features."""
     if locality is None:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    starts, members = as_integers(locality.starts), as_integers(locality.members)
+    starts, members = compact(locality.starts), compact(locality.members)
     if len(starts) != n + 1 or starts[0] != 0 or starts[-1] != len(members) or np.any(starts[1:] < starts[:-1]):
         raise ValueError(f"Locality.starts: does not delimit {len(members)} members of {n} features")
     if len(members) and not (members.min() >= 0 and members.max() < n):
@@ -101,11 +93,11 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
     return starts, members
 
 
-def as_floats(array: Array) -> Array:
-    """The array as the searches are compiled for: float64, C-contiguous, marked writeable."""
-    return plain(np.ascontiguousarray(array, np.float64))
-
-
-def as_integers(array: IntArray) -> IntArray:
-    """The array as int64, likewise."""
-    return plain(np.ascontiguousarray(array, np.int64))
+def compact(array: NDArray[Entry]) -> NDArray[Entry]:
+    """The array as the searches are compiled for: C-contiguous, and marked writeable. They do not write to it."""
+    view = np.ascontiguousarray(array).view()
+    try:
+        view.flags.writeable = True
+    except ValueError:  # its memory is read-only
+        return view.copy()
+    return view

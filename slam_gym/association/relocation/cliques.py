@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 
 import networkx as nx
 import numpy as np
 
-from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.association.relocation.problem import (
@@ -27,11 +25,9 @@ from slam_gym.association.relocation.problem import (
     UNARY,
     Best,
     Problem,
-    answer_of,
     fewest,
-    nothing_found,
     offer,
-    problem_of,
+    searched,
 )
 from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
@@ -57,16 +53,15 @@ def max_clique(
     tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. `min_pairings` as for
     `gcbb`, which also says what is raised.
     """
-    began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
-    nodes, edges = _consistent(problem, node_limit)
-    best = nothing_found(len(scan), min_pairings)
-    cliques, complete = largest_cliques(edges, fewest(best, True))
-    if not complete:
-        problem.effort[LIMIT] = 1
-    _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
-    if min_pairings is None:
-        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
-    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
+
+    def search(problem: Problem, best: Best) -> None:
+        nodes, edges = _consistent(problem, node_limit)
+        cliques, complete = largest_cliques(edges, fewest(best, True))
+        if not complete:
+            problem.effort[LIMIT] = 1
+        _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
+
+    return searched(scan, landmarks, locality, confidence, min_pairings, search)
 
 
 def largest_cliques(edges: IntArray, least: int = 2) -> tuple[IntArray, bool]:

@@ -15,10 +15,14 @@ import numpy as np
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import Mapped, ScanArrays, map_arrays, scan_arrays
-from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan
+from slam_gym.association.relocation.arrays import Mapped
+from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, ScanArrays
 
 _CLOSE = 16.0  # points are close when less than √16 = 4 σ apart
+
+
+Attributes = tuple[Array, Array, IntArray]
+"""Sizes [m] and their variances [m²], NaN where unknown, and kinds, of all measurements or features."""
 
 
 class Gates(NamedTuple):
@@ -49,24 +53,15 @@ class Path(NamedTuple):
     features: IntArray  # feature paired with each
 
 
-def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArray:
-    """Which measurement may come from which feature by size and kind alone, (m, n).
+def measured(scan: ScanArrays, confidence: float) -> Measured:
+    """A scan with the distances between all measurements and the variances of these distances.
 
-    Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j), and kinds when they are equal. A size that is NaN and a
-    kind that is UNKNOWN_KIND agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
+    Raises ValueError unless 0 < confidence < 1.
     """
-    return unary_table(scan_arrays(scan), *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
-
-
-def gates_at(confidence: float) -> Gates:
-    """χ² gates at a confidence. Raises ValueError unless 0 < confidence < 1."""
-    return Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
-
-
-def measured(scan: ScanArrays, gates: Gates) -> Measured:
-    """A scan with the distances between all measurements and the variances of these distances."""
-    x, y = (scan.points[None] - scan.points[:, None]).transpose(2, 0, 1)
-    (xx, xy), (_, yy) = (scan.noise[:, None] + scan.noise[None]).transpose(2, 3, 0, 1)
+    gates = Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
+    points, noise, *_ = scan
+    x, y = (points[None] - points[:, None]).transpose(2, 0, 1)
+    (xx, xy), (_, yy) = (noise[:, None] + noise[None]).transpose(2, 3, 0, 1)
     with np.errstate(over="ignore", invalid="ignore"):
         square, spreads = x * x + y * y, 0.5 * (xx + yy) + np.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)
         along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / np.where(square > 0.0, square, 1.0)
@@ -184,11 +179,15 @@ def orientation_test(scan: Measured, mapped: Mapped, ikp: tuple[int, int, int], 
     return bool((area_scan - area_map) ** 2 < scan.gates.one * (variance + max(map_variance, 0.0)))
 
 
-def unary_table(scan: ScanArrays, of_sizes: Array, of_variances: Array, of_kinds: IntArray, gate: float) -> BoolArray:
-    """`unary` of all measurements and features, (m, n), for any attributes of features; gate χ²_1."""
-    kinds = scan.kinds[:, None]
-    may_be_same = (kinds == of_kinds) | (kinds == UNKNOWN_KIND) | (of_kinds == UNKNOWN_KIND)
+def unary_table(of_scan: Attributes, of_map: Attributes, gate: float) -> BoolArray:
+    """Which measurement may come from which feature by size and kind alone, (m, n).
+
+    Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j), and kinds when they are equal. A size that is NaN and a
+    kind that is UNKNOWN_KIND agree with all. Gate χ²_1.
+    """
+    (sizes, variances, kinds), (mapped_sizes, mapped_variances, mapped_kinds) = of_scan, of_map
+    may_be_same = (kinds[:, None] == mapped_kinds) | (kinds[:, None] == UNKNOWN_KIND) | (mapped_kinds == UNKNOWN_KIND)
     with np.errstate(over="ignore", invalid="ignore"):
-        differences = scan.sizes[:, None] - of_sizes
-        differ = differences * differences > gate * (scan.size_variances[:, None] + of_variances)  # False for NaN
+        differences = sizes[:, None] - mapped_sizes
+        differ = differences * differences > gate * (variances[:, None] + mapped_variances)  # False for NaN
     return np.asarray(may_be_same & ~differ)

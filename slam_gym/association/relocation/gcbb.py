@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.problem import (
-    LEAVES,
-    NODES,
-    Best,
-    Problem,
-    answer_of,
-    fewest,
-    must_end,
-    nothing_found,
-    offer,
-    problem_of,
-)
+from slam_gym.association.relocation.problem import LEAVES, NODES, Best, Problem, fewest, must_end, offer, searched
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
@@ -59,15 +45,14 @@ def gcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    began, levels = time.perf_counter(), np.arange(len(scan))
-    problem = problem_of(scan, landmarks, locality, confidence)
+    levels = np.arange(len(scan))
     if outwards and len(scan):
         levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
-    best = nothing_found(len(scan), min_pairings)
-    _gcbb(problem, levels, node_limit, rivals, best)
-    if min_pairings is None:
-        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
-    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
+
+    def search(problem: Problem, best: Best) -> None:
+        _gcbb(problem, levels, node_limit, rivals, best)
+
+    return searched(scan, landmarks, locality, confidence, min_pairings, search)
 
 
 @compiled

@@ -16,12 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.arrays import Mapped, as_floats, as_integers, unchecked_map
+from slam_gym.association.relocation.arrays import Mapped, scan_arrays, unchecked_map
 from slam_gym.association.relocation.constraints import Path, cross_covariance
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import cholesky, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan
-from slam_gym.validation import check_scan
 
 _ITERATIONS = 50
 _STEP = 1e-9  # [m, rad] converged when no component of a step is larger
@@ -42,19 +41,18 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     """The pose of the robot in B under the hypothesis that pairs measurement i with features[i], (m,) or UNPAIRED.
 
     At least two pairings are needed, of measurements at different points. Raises ValueError for a bad scan (as
-    `check_scan`), for unknown features, and where the joint covariance of the pairings is not positive definite.
+    `scan_arrays`), for unknown features, and where the joint covariance of the pairings is not positive definite.
     """
-    check_scan(scan)
+    points, noise, *_ = scan_arrays(scan)
     if len(features) != len(scan):
         raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
     paired = np.flatnonzero(features != UNPAIRED)
-    path, k = Path(paired, as_integers(features[paired])), len(paired)
+    path, k = Path(paired, features[paired].astype(np.int64)), len(paired)
     if k and not (path.features.min() >= 0 and path.features.max() < len(landmarks)):
         raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
     pose, covariance, distance = np.full(3, math.nan), np.full((3, 3), math.nan), 0.0
     if k >= 2:
-        points, noise, mapped = as_floats(scan.points), as_floats(scan.covariances), unchecked_map(landmarks)
-        distance = locate_pairings(points, noise, mapped, path, k, pose, covariance)
+        distance = locate_pairings(points, noise, unchecked_map(landmarks), path, k, pose, covariance)
     if math.isnan(distance):
         raise ValueError(
             f"landmarks: the joint covariance of features {features.tolist()} is not positive definite, or not finite"

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import functools
 import math
+import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import Measured, Path, gates_at, measured, unary_table
+from slam_gym.association.relocation.constraints import Measured, Path, measured, unary_table
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.geometry import wrap_angles
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
@@ -57,15 +60,37 @@ def location_gates(pairings: int, confidence: float) -> Array:
 
 def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
     """The input of a search without a prior. Raises ValueError for bad numbers in scan, map or locality."""
-    arrays, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
+    arrays, mapped = scan_arrays(scan), map_arrays(landmarks)
+    seen = measured(arrays, confidence)
     return Problem(
-        measured(arrays, gates),
+        seen,
         mapped,
         location_gates(len(scan), confidence),
-        unary_table(arrays, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
+        unary_table(arrays[2:], mapped[2:5], seen.gates.one),
         *locality_arrays(locality, len(landmarks)),
         np.zeros(8, np.int64),
     )
+
+
+def searched(
+    scan: Scan,
+    landmarks: Landmarks,
+    locality: Locality | None,
+    confidence: float,
+    min_pairings: int | None,
+    search: Callable[[Problem, Best], None],
+) -> Relocation:
+    """The answer of a `search` that enters its hypotheses in a `Best`.
+
+    No hypothesis with fewer than `min_pairings` is looked for; None: any, and the rule of `acceptance` judges the
+    answer. Raises ValueError as `problem_of`.
+    """
+    began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    best = nothing_found(len(scan), min_pairings)
+    search(problem, best)
+    if min_pairings is None:
+        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
+    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 def nothing_found(measurements: int, least: int | None = None) -> Best:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import place_of
 from slam_gym.association.relocation.problem import (
@@ -18,13 +16,11 @@ from slam_gym.association.relocation.problem import (
     TRIES,
     Best,
     Problem,
-    answer_of,
     fewest,
     joint_distance,
     must_end,
-    nothing_found,
     offer,
-    problem_of,
+    searched,
 )
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
@@ -55,22 +51,19 @@ def random_sampling(
 
     All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
     of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
-    generator to draw them from. `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is
-    looked for. Where `node_limit`, which bounds the nodes of all trees together, `LOCATION_LIMIT` or `TEST_LIMIT` ends
-    the search, `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers
-    in scan or map, for a locality of another map, and for settings out of range.
+    generator to draw them from. `node_limit` bounds the nodes of all trees together. `min_pairings`, the limits and the
+    errors are those of `gcbb`; fewer tries than one are an error, too.
     """
     if tries < 1 or node_limit < 1:
         raise ValueError(f"tries {tries}, node_limit {node_limit}: expected at least 1")
-    rng, m, began = np.random.default_rng(seed), len(scan), time.perf_counter()
+    rng, m = np.random.default_rng(seed), len(scan)
     drawn = tries if m >= _SAMPLE else 0
     samples = np.array([rng.permutation(m)[:_SAMPLE] for _ in range(drawn)], np.int64).reshape(drawn, _SAMPLE)
-    problem = problem_of(scan, landmarks, locality, confidence)
-    best = nothing_found(m, min_pairings)
-    _random_sampling(problem, samples, node_limit, best)
-    if min_pairings is None:
-        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
-    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
+
+    def search(problem: Problem, best: Best) -> None:
+        _random_sampling(problem, samples, node_limit, best)
+
+    return searched(scan, landmarks, locality, confidence, min_pairings, search)
 
 
 @compiled

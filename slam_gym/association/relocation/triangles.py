@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
+from slam_gym.association.acceptance import Crowding, crowding_of
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import difference_covariances, gates_at, measured
+from slam_gym.association.relocation.constraints import difference_covariances, measured
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.relocation.problem import Problem, answer_of, location_gates, nothing_found
 from slam_gym.association.relocation.triangle_search import (
@@ -57,15 +57,11 @@ class FeatureIndex:
 
     def __init__(self, landmarks: Landmarks) -> None:
         self.landmarks = landmarks
-        independent = dataclasses.replace(
-            landmarks,
+        self._mapped = map_arrays(landmarks)._replace(
             covariances=relative_covariances(landmarks) + _FLOOR * np.eye(2),
             covariance=np.empty((0, 0)),
             block_starts=np.empty(0, np.int64),
-            block_columns=np.empty(0, np.int64),
-            blocks=np.empty((0, 2, 2)),
         )
-        self._mapped = map_arrays(independent)
         self._hash = _hash_of(self._mapped)
 
     def __len__(self) -> int:
@@ -99,16 +95,15 @@ class FeatureIndex:
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.
         """
-        began, gates = time.perf_counter(), gates_at(confidence)
+        began = time.perf_counter()
         if min_pairings is None:
-            log_numbers = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
-            min_pairings = least_pairings(log_numbers, 0.02)
+            min_pairings = required_pairings(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         if node_limit is None:
             node_limit = _POSES + _POSES_EACH * len(self)
         problem = Problem(
-            measured(scan_arrays(scan), gates),
+            measured(scan_arrays(scan), confidence),
             self._mapped,
             location_gates(len(scan), confidence),
             np.empty((0, 0), np.bool_),

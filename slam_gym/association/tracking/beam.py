@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
     Innovation,
     Pairings,
@@ -25,6 +24,7 @@ from slam_gym.association.tree import (
     condition,
     innovation_of,
     is_local,
+    pivot_of,
     read,
     squared,
     store,
@@ -36,13 +36,16 @@ _SCRATCH = 0  # the node that holds w of the candidate under examination; hypoth
 _INITIAL_NODES = 64  # initial capacity
 
 
-class Prices(NamedTuple):
-    """The terms of the score beside log N(ν_H; 0, S_H), and the bounds of the beam."""
+class Path(NamedTuple):
+    """Pairings by node, each conditioned on those of the nodes before it: of one path, or of all hypotheses of a beam.
 
-    gains: Array  # (c,) for each pairing
-    unpaired: float  # for a measurement decided `*`
-    width: int  # hypotheses kept at each level
-    margin: float  # hypotheses that score this much less than the best are dropped
+    A `tree.Node` keeps all candidates that may follow conditioned on it. This is wasted work where there are many
+    paths. Here a single candidate is conditioned when it is examined, on the pairings of a path one by one.
+    """
+
+    pairings: IntArray  # (N,) the pairing of each node
+    pivots: Array  # (N, 5) fields of the `tree.Pivot` of each
+    w: Array  # (N, 2P, 2) w of each as it joined a path of at most P pairings; and of candidates under examination
 
 
 class Beam(NamedTuple):
@@ -68,31 +71,33 @@ class _Room(NamedTuple):
     flat: Array  # (B (1 + c),) scores of the hypotheses that may be kept
 
 
-class _Level(NamedTuple):
-    """The state of a search at one level."""
-
-    room: _Room
-    joined: Path
-    now: int  # the half of the room that holds the current hypotheses
-    kept: int  # their number
+_Level = tuple[_Room, Path, int, int]
+"""The state of a search at one level: its room, its nodes, the half of the room that holds the current hypotheses, and
+their number."""
 
 
 @compiled
-def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, int, int, bool]:
-    """The best hypotheses over the levels; the nodes and joint tests that it took; and whether the width excluded
-    hypotheses. `levels` (l, 2) are first and end index of the pairings of each level, in order of decision."""
-    room, joined, node_count = _begin(pairings, levels, prices.width)
+def search(
+    pairings: Pairings, levels: IntArray, gains: Array, unpaired: float, width: int, margin: float
+) -> tuple[Beam, int, int, bool]:
+    """The best hypotheses over the levels; the nodes and joint tests that it took; and whether the width excluded any.
+
+    Arguments:
+        levels: (l, 2) first and end index of the pairings of each level, in order of decision.
+        gains: (c,) of each pairing.
+        width: hypotheses kept at each level.
+        margin: hypotheses that score this much less than the best are dropped.
+    """
+    room, joined, node_count = _begin(pairings, levels, width)
     now, kept, nodes, tests, cut = 0, 1, 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
-        state = _Level(room, joined, now, kept)
-        best = _offer_star(room, now, kept, last - first, prices.unpaired)
+        state = room, joined, now, kept
+        best = _offer_star(room, now, kept, last - first, unpaired)
         for c in range(first, last):
-            price = prices.gains[c], prices.margin
-            best, more = _offer_pairing(pairings, state, c, 1 + c - first, price, best)
+            best, more = _offer_pairing(pairings, state, c, 1 + c - first, (gains[c], margin), best)
             tests += more
-        threshold = best - prices.margin
-        joined, node_count, kept, full = _select(pairings, state, levels[level], threshold, prices.width, node_count)
+        joined, node_count, kept, full = _select(pairings, state, levels[level], best - margin, width, node_count)
         now, nodes, cut = 1 - now, nodes + kept, cut or full
     beam = Beam(
         room.score[now, :kept], room.pairings[now, :kept], room.made[now, :kept], room.nodes[now, :kept], joined
@@ -126,14 +131,29 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
 @inlined
 def _join(pairings: Pairings, joined: Path, made: IntArray, nodes: IntArray, p: int, c: int, used: int) -> Innovation:
     """Append pairing c to the p pairings of a hypothesis, as node number `used`. Returns its innovation given these."""
-    pivots, slots, e = joined.pivots, pairings.slots, innovation_of(pairings, c)
-    for q in range(p):
-        d = nodes[q]
-        pivot = Pivot(slots[made[q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
-        e = condition(pairings.covariance, joined.w, pivot, d, q, used, slots[c], e)
+    e = follow(pairings, joined, nodes, p, c, used)
     append(joined, used, c, e)
     made[p], nodes[p] = c, used
     return e
+
+
+@inlined
+def follow(pairings: Pairings, path: Path, nodes: IntArray, p: int, c: int, out: int) -> Innovation:
+    """Innovation of pairing c after those of the first p `nodes`. The w that follows theirs is written to w[out]."""
+    slot, e = pairings.slots[c], innovation_of(pairings, c)
+    for q in range(p):
+        d, v = nodes[q], path.pivots[nodes[q]]
+        pivot = Pivot(pairings.slots[path.pairings[d]], v[0], v[1], v[2], v[3], v[4])
+        e = condition(pairings.covariance, path.w, pivot, d, q, out, slot, e)
+    return e
+
+
+@inlined
+def append(path: Path, d: int, c: int, e: Innovation) -> None:
+    """Make pairing c node d, with its innovation e as `follow` has just computed it."""
+    pivot, v = pivot_of(0, e), path.pivots[d]
+    path.pairings[d] = c
+    v[0], v[1], v[2], v[3], v[4] = pivot.inverse_xx, pivot.yx, pivot.inverse_yy, pivot.u, pivot.v
 
 
 @compiled
@@ -197,15 +217,15 @@ def _offer_pairing(
 
 
 @compiled
-def updated(pairings: Pairings, beam: Beam, positions: Array) -> tuple[Array, Array]:
+def updated(P: Array, slots: IntArray, beam: Beam, positions: Array) -> tuple[Array, Array]:
     """Positions (b, k, 2) [m] and covariances (b, k, 2, 2) [m²] of features after an update with each hypothesis.
 
-    `positions` (k, 2) are the predicted ones, the covariance of `pairings` is (2k, 2k); slot s is feature s. The
+    P (2k, 2k) and `positions` (k, 2) are the predicted ones; `slots` (c,) are the features of the pairings. The
     noise-free measurement of a feature is conditioned on the path like any candidate. `_condition_all` does this for
     all features at once, with w stored by rows, so that the inner loops run along rows.
     """
     k, room = len(positions), beam.made.shape[1]
-    P, slots, made, path, pivots = pairings.covariance, pairings.slots, beam.made, beam.nodes, beam.joined.pivots
+    made, path, pivots = beam.made, beam.nodes, beam.joined.pivots
     moved, remaining = np.empty((len(made), k, 2)), np.empty((len(made), k, 2, 2))
     w, e = np.empty((2 * room, 2 * k)), np.empty((room + 1, 5, k))
     for j in range(k):
@@ -252,18 +272,6 @@ def _condition_all(P: Array, node_w: Array, pivots: Array, d: int, slot: int, q:
 
 
 @compiled
-def _with_capacity(joined: Path, nodes: int) -> Path:
-    """The path with room for `nodes` nodes."""
-    capacity = len(joined.pairings)
-    if nodes <= capacity:
-        return joined
-    count = 2 * nodes
-    larger = Path(np.empty(count, np.int64), np.empty((count, 5)), np.empty((count, joined.w.shape[1], 2)))
-    larger.pairings[:capacity], larger.pivots[:capacity], larger.w[:capacity] = joined.pairings, joined.pivots, joined.w
-    return larger
-
-
-@compiled
 def _select(
     pairings: Pairings, state: _Level, level: IntArray, least: float, width: int, used: int
 ) -> tuple[Path, int, int, bool]:
@@ -281,7 +289,11 @@ def _select(
                 selected += 1
     full, next_half = selected > width, 1 - now
     threshold = np.partition(scores[:selected], selected - width)[selected - width] if full else least
-    joined, selected = _with_capacity(joined, used + min(selected, width)), 0
+    capacity, count_after, selected = len(joined.pairings), used + min(selected, width), 0
+    if count_after > capacity:
+        N, old = 2 * count_after, joined
+        joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, old.w.shape[1], 2)))
+        joined.pairings[:capacity], joined.pivots[:capacity], joined.w[:capacity] = old.pairings, old.pivots, old.w
     for b in range(kept):
         p = count[now, b]
         for k in range(1 + last - first):

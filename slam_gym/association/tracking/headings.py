@@ -53,7 +53,12 @@ def parts_of(expected: Expected) -> list[Part]:
     for i in range(2 * k):
         for j in range(2 * k):
             conditional[i, j] -= slopes[i] * slopes[j] * sigma2
-    phis, weights = _split(sigma2)
+    spread = math.sqrt(sigma2 - NARROW * NARROW)
+    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)  # parts to either side
+    phis = 2.0 * NARROW * np.arange(-n, n + 1)
+    scaled = phis / spread
+    weights = np.exp(-0.5 * scaled * scaled)
+    weights /= weights.sum()
     out: list[Part] = []
     for phi, weight in zip(phis, weights):
         c, s, moved, g = math.cos(phi), math.sin(phi), np.empty((k, 2)), np.empty((k, 2))
@@ -67,19 +72,6 @@ def parts_of(expected: Expected) -> list[Part]:
             part.covariances[j] = joint_in(expected, part, row)
         out.append(part)
     return out
-
-
-@compiled
-def _split(sigma2: float) -> tuple[Array, Array]:
-    """The headings φ_k [rad] (h,) into which a heading of variance `sigma2` [rad²] is split, and their weights."""
-    spread, total = math.sqrt(sigma2 - NARROW * NARROW), 0.0
-    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
-    phis, weights = np.empty(2 * n + 1), np.empty(2 * n + 1)
-    for k in range(2 * n + 1):
-        phis[k] = 2.0 * NARROW * (k - n)
-        weights[k] = math.exp(-0.5 * (phis[k] / spread) ** 2)
-        total += weights[k]
-    return phis, weights / total
 
 
 @compiled

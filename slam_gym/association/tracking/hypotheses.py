@@ -28,12 +28,11 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Expected, Prediction, visibility
-from slam_gym.association.tracking.beam import Beam, Prices, updated
+from slam_gym.association.tracking.beam import Beam, Path, append, follow, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
 from slam_gym.association.tracking.near_first import Spent
-from slam_gym.association.tracking.path import path_of, support_of
-from slam_gym.association.tree import Pairings
+from slam_gym.association.tree import Pairings, is_local, squared
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 
 UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
@@ -43,13 +42,6 @@ JOINT_TESTS = 300_000  # for a scan
 MEMORY = 1 << 27  # [bytes] for the pairings of all hypotheses, each conditioned on those before it
 _INVISIBLE = 1e-3  # features less visible from the predicted pose are not looked up from other poses
 _MIN_AREA = 1.0  # [m²] least area of a scan
-
-
-class Rates(NamedTuple):
-    """Detection probability and density of unmapped objects: the prices of pairing and of not pairing."""
-
-    detection: float  # P_D
-    density: float  # [1/m²] λ
 
 
 class Limits(NamedTuple):
@@ -70,7 +62,8 @@ class ScanProblem(NamedTuple):
     levels: IntArray  # (l, 2) first and end index of the pairings of each measurement with any, in order of decision
     rows: IntArray  # (u,) row of the prediction of each slot
     visible: Array  # (k,) probability of being in view from the predicted pose; (0,): unknown
-    rates: Rates
+    detection: float  # P_D
+    density: float  # [1/m²] λ of measurements of nothing in the map
 
 
 class SearchResult(NamedTuple):
@@ -136,27 +129,26 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
 
 
 @compiled
-def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> SearchResult:
+def search_tree(problem: ScanProblem, odds: Array, width: int, margin: float) -> SearchResult:
     """The hypotheses of greatest density, seen from the predicted pose, with extra log odds (c,) of pairings, or none
     (0,).
 
-    Measurements without a candidate are `*` in all hypotheses.
+    Measurements without a candidate are `*` in all hypotheses. `width` and `margin` as in `Limits`.
     """
-    pairings, starts, rates = problem.pairings, problem.starts, problem.rates
+    pairings, starts, detection = problem.pairings, problem.starts, problem.detection
     rows, visible = problem.rows, problem.visible
-    gains = np.full(len(pairings.slots), math.log(rates.detection))
+    gains = np.full(len(pairings.slots), math.log(detection))
     for c in range(len(gains) if len(visible) > 0 else 0):
         v = visible[rows[pairings.slots[c]]]
-        gains[c] += math.log(max(v, UNSEEN)) - math.log1p(-rates.detection * v)
-    offered = gains + odds if len(odds) > 0 else gains
-    prices = Prices(offered, math.log(rates.density), limits.width, limits.margin)
-    beam, nodes, tests, cut = beam_search(pairings, problem.levels, prices)
+        gains[c] += math.log(max(v, UNSEEN)) - math.log1p(-detection * v)
+    offered, star = gains + odds if len(odds) > 0 else gains, math.log(problem.density)
+    beam, nodes, tests, cut = beam_search(pairings, problem.levels, offered, star, width, margin)
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
     decided = np.full((len(fit), len(pairings.noise)), UNPAIRED)
     for b in range(len(fit)):
         paired = beam.pairings[b] - pairings.fixed
         unpaired[b] = len(starts) - 1 - paired
-        fit[b] -= (len(problem.levels) - paired) * prices.unpaired
+        fit[b] -= (len(problem.levels) - paired) * star
         for q in range(pairings.fixed, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
         for c in beam.made[b, : beam.pairings[b]]:
@@ -168,17 +160,39 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> SearchResu
 def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
     """`ScanProblem.levels`: measurements whose candidates have most support come first. Support is the number of other
     measurements with a candidate within the gate after an update with that single pairing."""
-    path, count, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
+    P, count, others = pairings.fixed + 2, 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
+    path, nodes = Path(np.zeros(P, np.int64), np.empty((P, 5)), np.empty((P, 2 * P, 2))), np.arange(P)
+    for d in range(pairings.fixed):
+        append(path, d, d, follow(pairings, path, nodes, d, d, d))
     order_keys, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
         first, last = pairings.fixed + starts[i], pairings.fixed + starts[i + 1]
         for c in range(first, last):
             if order_keys[count] > -others:
-                order_keys[count] = min(order_keys[count], -support_of(pairings, path, c, gate))
+                order_keys[count] = min(order_keys[count], -_support(pairings, path, nodes, c, gate))
         if first < last:
             levels[count, 0], levels[count, 1] = first, last
             count += 1
     return levels[np.argsort(order_keys[:count], kind="mergesort")]
+
+
+@compiled
+def _support(pairings: Pairings, path: Path, nodes: IntArray, anchor: int, gate: float) -> int:
+    """The support of a pairing; `path` holds the fixed pairings in the first of its `nodes`."""
+    p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
+    e = follow(pairings, path, nodes, p, anchor, p)
+    if squared(e) == math.inf:
+        return 0
+    append(path, p, anchor, e)
+    support, last = 0, measured[anchor]
+    for c in range(p, len(slots)):
+        if measured[c] == last or measured[c] == measured[anchor] or slots[c] == slots[anchor]:
+            continue
+        if not is_local(pairings.local, slots[anchor], slots[c]):
+            continue
+        if squared(follow(pairings, path, nodes, p + 1, c, p + 1)) < gate:
+            support, last = support + 1, measured[c]
+    return support
 
 
 @compiled
@@ -190,7 +204,7 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     Hypotheses share a view where they place every feature within `together` [m] of each other. All share one where the
     features are predicted that precisely, or where visibility does not depend on the pose.
     """
-    part, p, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
+    part, rows, visible = problem.part, problem.rows, problem.visible
     group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
     if len(visible) == 0:
         return group, np.empty((0, 0)), rows
@@ -201,12 +215,11 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     possible = visible > _INVISIBLE
     possible[rows] = False
     both = np.concatenate((rows, np.flatnonzero(possible)))
-    joint = joint_in(expected, part, both)
-    extended = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.fixed)
-    positions, covariances = updated(extended, beam, part.positions[both])
+    joint, slots = joint_in(expected, part, both), problem.pairings.slots
+    positions, covariances = updated(joint, slots, beam, part.positions[both])
     leaders = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(leaders) * len(both)
-    seen, _ = visibility(expected, positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2))
+    seen = visibility(expected, positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2))
     return group, seen.reshape(len(leaders), len(both)), np.arange(len(rows))
 
 

@@ -20,7 +20,6 @@ from slam_gym.association.tracking.hypotheses import (
     LimitFields,
     Limits,
     PosteriorFields,
-    Rates,
     ScanProblem,
     SearchResult,
     affordable,
@@ -75,28 +74,29 @@ def map_hypothesis(
 def _decide(
     scan: ScanArrays,
     prediction: PredictionArrays,
-    rate_fields: tuple[float, float],
+    rates: tuple[float, float],
     limit_fields: LimitFields,
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    rates, limits, m = Rates(*rate_fields), Limits(*limit_fields), len(scan[0])
+    (detection, density), limits, m = rates, Limits(*limit_fields), len(scan[0])
     rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
     posterior = 0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)
     positions, covariances = expected.positions, expected.covariances
     part = Part(0.0, expected.pose[3], positions, covariances, 0.0, expected.across, np.empty((0, 0)))  # all headings
-    visible = visibility(expected, positions, covariances)[0]
+    visible = visibility(expected, positions, covariances)
     for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
         fault, tests = offered.fault, spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if fault[0] == 0 and (search == 0 or len(offered.pairings.slots) > offered.pairings.fixed):
             levels = levels_of(offered.pairings, offered.starts, limits.gate)
-            problem = ScanProblem(part, offered.pairings, offered.starts, levels, offered.rows, visible, rates)
-            width = affordable(limits.width, [problem])
-            searched = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin, limits.most))
+            problem = ScanProblem(
+                part, offered.pairings, offered.starts, levels, offered.rows, visible, detection, density
+            )
+            searched = search_tree(problem, np.empty(0), affordable(limits.width, [problem]), limits.margin)
             limit_hit = spent.limit_hit or searched.cut or bool((np.diff(offered.starts) >= limits.most).any())
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
-            fit = searched.fit + math.log(rates.density) * searched.unpaired
+            fit = searched.fit + math.log(density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
             sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
             rows[:] = searched.rows[np.argmax(sums.scores)]
@@ -111,7 +111,7 @@ def _weighed_by_view(
     expected: Expected, problem: ScanProblem, searched: SearchResult, fit: Array, closeness: float
 ) -> Array:
     """`weighed_by_view` (b, 1). Hypotheses within `closeness` of the best get a view of their own."""
-    beam, detections = searched.beam, np.array([problem.rates.detection])
+    beam, detections = searched.beam, np.array([problem.detection])
     view_terms = weighed_by_view(expected, problem, beam, detections, SAME_VIEW)
     if len(problem.visible) > 0 and len(expected.visible) == 0 and expected.view_moves:
         scores = fit + view_terms[:, 0]

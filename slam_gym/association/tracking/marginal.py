@@ -41,7 +41,6 @@ from slam_gym.association.tracking.hypotheses import (
     LimitFields,
     Limits,
     PosteriorFields,
-    Rates,
     ScanProblem,
     SearchResult,
     affordable,
@@ -113,41 +112,36 @@ def marginal(
     """
     past = prediction.experience or NOTHING_SEEN
     costs = cost, cost if provisional_cost is None else provisional_cost
-    answer, (_, unpaired, new, by_value, area), posterior = _search(scan, prediction, costs, width, margin, network)
+    answer, found, posterior = weigh(scan, prediction, costs, width=width, margin=margin, network=network)
     experience = Experience(
-        _MEMORY * (past.unpaired + float(unpaired.sum())),
-        _MEMORY * (past.area + area),
-        _MEMORY * by_value if prediction.has_view else past.detections,
+        _MEMORY * (past.unpaired + float(found.unpaired.sum())),
+        _MEMORY * (past.area + found.area),
+        _MEMORY * found.by_value if prediction.has_view else past.detections,
     )
-    return answer.hypothesis(posterior=Posterior(*posterior), new=new, experience=experience)
+    return answer.hypothesis(posterior=Posterior(*posterior), new=found.new, experience=experience)
 
 
-def marginals(
+def weigh(
     scan: Scan,
     prediction: Prediction,
+    costs: tuple[float, float] = (1.0, 1.0),
     *,
     width: int = 100,
     margin: float = 12.0,
     network: Network = NO_NETWORK,
-) -> Marginals:
-    """The probabilities by which `marginal` decides. Arguments and errors are those of `marginal`."""
-    answer, fields, _ = _search(scan, prediction, (1.0, 1.0), width, margin, network)
-    check_fault(answer.fault)
-    return Marginals(*fields)
+) -> tuple[Decided, Marginals, PosteriorFields]:
+    """The decision of `marginal`, the probabilities on which it is based, and its posterior.
 
-
-def _search(
-    scan: Scan, prediction: Prediction, costs: tuple[float, float], width: int, margin: float, network: Network
-) -> tuple[Decided, MarginalFields, PosteriorFields]:
-    """Search and decide. `costs`: of a wrong pairing, and of a wrong provisional pairing."""
+    `costs`: of a wrong pairing, and of a wrong provisional pairing. Other arguments and errors are those of `marginal`.
+    """
     for name, price in zip(("cost", "provisional_cost"), costs):
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
     limits, prior = limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
-    results: tuple[Decided, MarginalFields, PosteriorFields]
-    results = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
-    return results
+    answer, fields, posterior = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
+    check_fault(answer.fault)
+    return answer, Marginals(*fields), posterior
 
 
 class Prior(NamedTuple):
@@ -177,7 +171,8 @@ class HeadingCandidates(NamedTuple):
     part: Part
     candidates: Candidates
     unmatched: int  # measurements without a candidate
-    rates: Rates
+    detection: float  # P_D
+    density: float  # [1/m²] λ
     bound: float  # of the score of a hypothesis
 
 
@@ -263,14 +258,14 @@ def headings_of(
         if part_fault[0] != 0:
             fault = part_fault
         unmatched = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
-        rates, bound = Rates(detection, (prior.unpaired + unmatched) / (prior.area + area)), math.inf
+        density, bound = (prior.unpaired + unmatched) / (prior.area + area), math.inf
         if not learned:  # each measurement takes its best choice, in view and without error
-            gain, unpaired, total = math.log(detection) - math.log1p(-detection), math.log(rates.density), 0.0
+            gain, unpaired, total = math.log(detection) - math.log1p(-detection), math.log(density), 0.0
             for i in range(len(points)):
                 if candidates.starts[i + 1] > candidates.starts[i]:
                     total += max(unpaired, gain + greatest_log_density(noise[i]))
             bound = part.log_weight + total
-        headings.append(HeadingCandidates(part, candidates, unmatched, rates, bound))
+        headings.append(HeadingCandidates(part, candidates, unmatched, detection, density, bound))
     return headings, fault
 
 
@@ -278,13 +273,14 @@ def headings_of(
 def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
     """The problem of searching a narrow heading."""
     part, candidates = heading.part, heading.candidates
-    visible = visibility(expected, part.positions, part.covariances)[0]
+    visible = visibility(expected, part.positions, part.covariances)
     joint = joint_in(expected, part, candidates.rows)
     pairings = Pairings(
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
     )
     levels = levels_of(pairings, candidates.starts, gate)
-    return ScanProblem(part, pairings, candidates.starts, levels, candidates.rows, visible, heading.rates)
+    starts, rows = candidates.starts, candidates.rows
+    return ScanProblem(part, pairings, starts, levels, rows, visible, heading.detection, heading.density)
 
 
 @compiled
@@ -314,7 +310,7 @@ def _promising(
         trials.append(HeadingSearch(problem, heading.candidates.tests, odds, margin))
         if len(headings) == 1:
             return trials
-        searched = search_tree(problem, odds, Limits(limits.gate, _TRIAL_WIDTH, margin, limits.most))
+        searched = search_tree(problem, odds, _TRIAL_WIDTH, margin)
         score[n] = heading.part.log_weight + searched.beam.score.max()
         behind[n] = -(heading.part.log_weight + _greatest_density(searched, heading, prices, problem.visible))
         best = max(best, score[n])
@@ -334,9 +330,9 @@ def _greatest_density(searched: SearchResult, heading: HeadingCandidates, prices
     """The greatest log density found by a search, with a single P_D and visibility from the predicted pose."""
     missed, greatest = 0.0, -math.inf
     for v in visible:
-        missed += math.log1p(-heading.rates.detection * v)
+        missed += math.log1p(-heading.detection * v)
     for b in range(len(searched.fit)):
-        free = math.log(heading.rates.density) * (searched.unpaired[b] - heading.unmatched)
+        free = math.log(heading.density) * (searched.unpaired[b] - heading.unmatched)
         greatest = max(greatest, searched.beam.score[b] - free + prices[searched.unpaired[b]])
     return missed + greatest
 
@@ -350,7 +346,7 @@ def search_all(
     results: list[SearchResult] = []
     width = affordable(limits.width, [search.problem for search in searches])
     for search in searches:
-        result = search_tree(search.problem, search.odds, Limits(limits.gate, width, search.margin, limits.most))
+        result = search_tree(search.problem, search.odds, width, search.margin)
         results.append(result)
         nodes, tests, joint_tests = nodes + result.nodes, tests + search.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)

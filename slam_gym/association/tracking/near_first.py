@@ -19,6 +19,7 @@ from slam_gym.association.compatibility import NO_FAULT, Fault, check_fault, chi
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint
 from slam_gym.association.tree import Pairings
 from slam_gym.mapping.covisibility import among
+from slam_gym.mapping.linear_algebra import cholesky, whiten
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Scan, ScanArrays
 
 
@@ -102,27 +103,20 @@ def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> f
     """D²_H = νᵀ S⁻¹ ν of the pairings of measurements with `rows` (m,), or UNPAIRED. It is yᵀy with y = L⁻¹ν, S = L Lᵀ;
     NaN where S is not positive definite."""
     points, noise, positions = scan[0], scan[1], expected.positions
-    paired, squared = np.flatnonzero(rows != UNPAIRED), 0.0
+    paired = np.flatnonzero(rows != UNPAIRED)
     if len(paired) == 0:
-        return squared
-    L, y = joint(expected, rows[paired]), np.empty(2 * len(paired))
+        return 0.0
+    S, y, squared = joint(expected, rows[paired]), np.empty(2 * len(paired)), 0.0
     for p in range(len(paired)):
         i = paired[p]
         for a in range(2):
             y[2 * p + a] = points[i, a] - positions[rows[i], a]
             for b in range(2):
-                L[2 * p + a, 2 * p + b] += noise[i, a, b]
-    for a in range(len(L)):
-        for b in range(a + 1):
-            for k in range(b):
-                L[a, b] -= L[a, k] * L[b, k]
-            if b < a:
-                L[a, b] /= L[b, b]
-                y[a] -= L[a, b] * y[b]
-        if not L[a, a] > 0.0:
-            return math.nan
-        L[a, a] = math.sqrt(L[a, a])
-        y[a] /= L[a, a]
+                S[2 * p + a, 2 * p + b] += noise[i, a, b]
+    if not cholesky(S):
+        return math.nan
+    whiten(S, np.empty((len(S), 0)), y)
+    for a in range(len(y)):
         squared += y[a] * y[a]
     return squared
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import plain
+from slam_gym.association.prediction import PredictionArrays, expected_of
 from slam_gym.association.tree import (
     Innovation,
     Node,
@@ -24,8 +24,15 @@ from slam_gym.association.tree import (
     read,
     squared,
 )
-from slam_gym.association.walks import MEASURED_FIELDS, POSITION_SCALE, Float32Array, Observation, measurement_shown
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.association.walks import (
+    MEASURED_FIELDS,
+    POSITION_SCALE,
+    Float32Array,
+    Observation,
+    measurement_shown,
+    squash,
+)
+from slam_gym.types import Array, BoolArray, IntArray, ScanArrays
 
 MEASUREMENT_FIELDS = MEASURED_FIELDS
 """`measurement`: the one to decide now."""
@@ -72,25 +79,8 @@ ODDS_SCALE = 5.0
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 CLUTTER_DENSITY = 0.02  # [1/m²] of measurements of nothing in the map, for `evidence`
 
-_ALL_LOCAL = np.empty((0, 0), np.bool_)
 _SEEN = -1  # in place of a level
-
-
-class Surroundings(NamedTuple):
-    """What is known of a scan's measurements and of the features that they may be paired with."""
-
-    points: Array  # (m, 2) [m] in R
-    sizes: Array  # (m,) [m], and their variances (m,) [m²]
-    size_variances: Array
-    positions: Array  # (u, 2) [m] in R, by slot
-    mapped_sizes: Array  # (u,) [m], and their variances (u,) [m²]
-    mapped_size_variances: Array
-    near: BoolArray  # (u,)
-    ages: IntArray  # (u,) [steps]
-    sightings: IntArray  # (u,)
-    confirmed: BoolArray  # (u,)
-    heading: float  # [rad] σ of the predicted heading
-    local: BoolArray  # (u, u) or (0, 0)
+_squash = compiled(squash)
 
 
 class Choice(NamedTuple):
@@ -128,50 +118,73 @@ def nothing(candidates: int) -> Observation:
     return {name: np.zeros(length, np.float32) for name, length in lengths(candidates).items()}
 
 
-def surroundings_of(tree: Tree) -> Surroundings:
-    """Of a tree's scan and the features that it may pair."""
-    scan, prediction, rows = tree.scan, tree.prediction, tree.rows
-    return Surroundings(
-        plain(scan.points),
-        plain(scan.sizes),
-        plain(scan.size_variances),
-        prediction.positions[rows],
-        prediction.sizes[rows],
-        prediction.size_variances[rows],
-        prediction.near[rows],
-        prediction.ages[rows],
-        prediction.sightings[rows],
-        ~prediction.provisional[rows],
-        math.sqrt(max(prediction.heading_variance, 0.0)),
-        prediction.local(rows) if prediction.has_localities else _ALL_LOCAL,
-    )
+def local_of(tree: Tree) -> BoolArray:
+    """(u, u) which of the features that a tree may pair are local to each other; (0, 0): all are to all."""
+    return tree.prediction.local(tree.rows) if tree.prediction.has_localities else tree.pairings.local
 
 
-def encode(tree: Tree, node: Node, surroundings: Surroundings, choice: Choice) -> Observation:
-    """The observation at a node with a choice. Fresh arrays."""
-    measurement = np.array(measurement_shown(tree.scan, int(tree.pairings.measured[choice.offered[0]])), np.float32)
-    candidates, path = _encode(tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice)
+def encode(tree: Tree, node: Node, local: BoolArray, choice: Choice) -> Observation:
+    """The observation at a node with a choice, where `local` is that of `local_of`. Fresh arrays."""
+    scan, prediction = tree.scan, tree.prediction
+    measurement = np.array(measurement_shown(scan, int(tree.pairings.measured[choice.offered[0]])), np.float32)
+    mapped = prediction.arrays, tree.rows, prediction.confirmations, local
+    candidates, path = _encode(tree.pairings, node, tree.candidates.distances, tree.gates, scan.arrays, mapped, choice)
     return {"measurement": measurement, "candidates": candidates, "path": path}
 
 
 @compiled
 def _encode(
-    pairings: Pairings, node: Node, individual: Array, gates: Array, around: Surroundings, choice: Choice
+    pairings: Pairings,
+    node: Node,
+    individual: Array,
+    gates: Array,
+    scan: ScanArrays,
+    mapped: tuple[PredictionArrays, IntArray, int, BoolArray],
+    choice: Choice,
 ) -> tuple[Float32Array, Float32Array]:
-    """`CANDIDATE_FIELDS` and `PATH_FIELDS`; `individual` (c,) are D²_ij of all pairings."""
+    """`CANDIDATE_FIELDS` and `PATH_FIELDS`.
+
+    `individual` (c,) are D²_ij of all pairings. `mapped`: the prediction, its row for each slot (u,), the sightings
+    that confirm a feature, and which features are local to each other, by slot.
+    """
     ahead, p, path = _outlook(pairings, node, choice), len(node.path), np.zeros(len(PATH_FIELDS), np.float32)
-    candidates = _candidates(pairings, node, individual, gates, around, choice, ahead)
+    (prediction, rows, confirmations, local), odds = mapped, ahead.evidence + ahead.outlook
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    candidates, sizes, variances = np.zeros((choice.candidates, len(CANDIDATE_FIELDS)), np.float32), scan[2], scan[3]
+    for k in range(len(choice.offered)):
+        c, row = choice.offered[k], candidates[k]
+        i, slot, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
+        j = rows[slot]
+        row[0] = 1.0
+        row[1] = _squash(expected.positions[j, 0], POSITION_SCALE)
+        row[2] = _squash(expected.positions[j, 1], POSITION_SCALE)
+        row[3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
+        row[4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
+        row[5], row[6] = individual[c] / (individual[c] + gates[1]), joint / (joint + gates[p + 1])
+        difference = sizes[i] - expected.sizes[j]
+        row[7] = _squash(difference * difference / (variances[i] + expected.size_variances[j]), 1.0)
+        if math.isnan(row[7]):
+            row[7] = -1.0
+        covisible = 0
+        for d in node.path:
+            covisible += is_local(local, slot, pairings.slots[d])
+        row[8] = covisible / max(p, 1)
+        row[9], row[10] = 1.0 if expected.near[j] else 0.0, _squash(float(expected.ages[j]), AGE_SCALE)
+        row[11] = _squash(float(expected.sightings[j]), COUNT_SCALE)
+        row[12] = 1.0 if expected.sightings[j] >= confirmations else 0.0
+        row[13], e, best = _squash(float(ahead.rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
+        for other in range(len(odds)):
+            if other != k:
+                best = max(best, odds[other])
+        row[14] = _squash(math.sqrt(max(e.xx * e.yy - e.xy * e.xy, 0.0)), SPREAD_SCALE)
+        row[15], row[16] = _squash(ahead.evidence[k], ODDS_SCALE), _squash(ahead.outlook[k], ODDS_SCALE)
+        row[17], row[18] = _squash(odds[k], ODDS_SCALE), _squash(odds[k] - best, ODDS_SCALE)
     path[0], path[1] = choice.level / choice.levels, _squash(float(ahead.left), COUNT_SCALE)
     path[2], path[3] = _squash(float(p), COUNT_SCALE), p / max(choice.level, 1)
     path[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
     path[5], path[6] = _squash(float(choice.compatible), FEW_SCALE), _squash(float(choice.hidden), FEW_SCALE)
-    path[7] = _squash(around.heading, HEADING_SCALE)
-    return candidates, path
-
-
-@compiled
-def _squash(value: float, scale: float) -> float:
-    return value / (abs(value) + scale)
+    path[7] = _squash(math.sqrt(max(expected.pose[3], 0.0)), HEADING_SCALE)
+    return candidates.ravel(), path
 
 
 @compiled
@@ -209,47 +222,3 @@ def _evidence(e: Innovation) -> float:
     if not determinant > 0.0:
         return -math.inf
     return -0.5 * squared(e) - 0.5 * math.log(determinant) - math.log(2.0 * math.pi * CLUTTER_DENSITY)
-
-
-@compiled
-def _candidates(
-    pairings: Pairings,
-    node: Node,
-    individual: Array,
-    gates: Array,
-    around: Surroundings,
-    choice: Choice,
-    ahead: _Outlook,
-) -> Float32Array:
-    """`CANDIDATE_FIELDS` of what is on offer."""
-    out, p = np.zeros((choice.candidates, len(CANDIDATE_FIELDS)), np.float32), len(node.path)
-    odds = ahead.evidence + ahead.outlook
-    for k in range(len(choice.offered)):
-        c, row = choice.offered[k], out[k]
-        i, j, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
-        row[0] = 1.0
-        row[1], row[2] = (
-            _squash(around.positions[j, 0], POSITION_SCALE),
-            _squash(around.positions[j, 1], POSITION_SCALE),
-        )
-        row[3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
-        row[4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
-        row[5], row[6] = individual[c] / (individual[c] + gates[1]), joint / (joint + gates[p + 1])
-        difference = around.sizes[i] - around.mapped_sizes[j]
-        row[7] = _squash(difference * difference / (around.size_variances[i] + around.mapped_size_variances[j]), 1.0)
-        if math.isnan(row[7]):
-            row[7] = -1.0
-        covisible = 0
-        for d in node.path:
-            covisible += is_local(around.local, j, pairings.slots[d])
-        row[8] = covisible / max(p, 1)
-        row[9], row[10] = 1.0 if around.near[j] else 0.0, _squash(float(around.ages[j]), AGE_SCALE)
-        row[11], row[12] = _squash(float(around.sightings[j]), COUNT_SCALE), 1.0 if around.confirmed[j] else 0.0
-        row[13], e, best = _squash(float(ahead.rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
-        for other in range(len(odds)):
-            if other != k:
-                best = max(best, odds[other])
-        row[14] = _squash(math.sqrt(max(e.xx * e.yy - e.xy * e.xy, 0.0)), SPREAD_SCALE)
-        row[15], row[16] = _squash(ahead.evidence[k], ODDS_SCALE), _squash(ahead.outlook[k], ODDS_SCALE)
-        row[17], row[18] = _squash(odds[k], ODDS_SCALE), _squash(odds[k] - best, ODDS_SCALE)
-    return out.ravel()

@@ -10,9 +10,8 @@ from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.near_first import Offer, near_first
-from slam_gym.association.tracking.path import append, distances_with, follow, path_of
-from slam_gym.association.tree import Pairings, is_local, squared
-from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
+from slam_gym.association.tree import Node, Pairings, add_pairing, is_local, root_of
+from slam_gym.types import Effort, Hypothesis, IntArray, Scan
 
 
 def one_point_ransac(
@@ -51,44 +50,37 @@ def one_point_ransac(
 def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> tuple[IntArray, int]:
     """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,). The
     fixed pairings are kept."""
-    slots, measured, count = pairings.slots, pairings.measured, len(order)
-    path = path_of(pairings, min(count, len(pairings.noise)) + 2)
-    distances, best, best_sum, required, drawn = np.empty(len(slots)), order[:0], math.inf, math.inf, 0
-    for anchor in order:
-        if drawn >= min(required, tries):
-            break
-        drawn += 1
-        distances_with(pairings, path, anchor, distances)
-        total, distances[anchor] = distances[anchor], -1.0  # so that the anchor comes first
-        inliers = _nearest_first(distances, slots, measured, gate, best[:0])
-        for c in inliers[1:]:
-            total += distances[c]
-        if len(inliers) > len(best) or (len(inliers) == len(best) and total < best_sum):
-            best, best_sum = inliers, total
+    first, count, best, best_sum = root_of(pairings), len(order), order[:0], math.inf
+    required, drawn = math.inf, 0
+    while drawn < min(required, tries, count):
+        anchor, drawn = order[drawn : drawn + 1], drawn + 1
+        node, total = add_pairing(pairings, first, anchor[0], pairings.fixed), first.added[anchor[0]]
+        others = _nearest_first(pairings, node, anchor, gate)
+        for c in others:
+            total += node.added[c]
+        if 1 + len(others) > len(best) or (1 + len(others) == len(best) and total < best_sum):
+            best, best_sum = np.concatenate((anchor, others)), total
             fraction = len(best) / count
             required = math.log(1.0 - success) / math.log(1.0 - fraction) if fraction < 1.0 else 1.0
-    p = pairings.fixed
+    node = first
     for c in best:
-        append(path, p, c, follow(pairings, path, p, c))
-        p += 1
-    for c in range(len(slots)):
-        distances[c] = math.inf
-        if c >= pairings.fixed and (len(best) == 0 or is_local(pairings.local, slots[best[0]], slots[c])):
-            distances[c] = squared(follow(pairings, path, p, c))
-    return np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn
+        node = add_pairing(pairings, node, c, pairings.fixed)
+    return np.concatenate((best, _nearest_first(pairings, node, best, gate))), drawn
 
 
 @compiled
-def _nearest_first(distances: Array, slots: IntArray, measured: IntArray, gate: float, before: IntArray) -> IntArray:
-    """Candidates within the gate by ascending distance; each measurement and feature once, and none of `before`."""
+def _nearest_first(pairings: Pairings, node: Node, made: IntArray, gate: float) -> IntArray:
+    """Candidates within the gate at a node, which has `made` these pairings after the fixed ones, by ascending
+    distance; each measurement and feature once."""
+    slots, measured, local = pairings.slots, pairings.measured, pairings.local
     used_slots, used = np.zeros(slots.max() + 1, np.bool_), np.zeros(measured.max() + 1, np.bool_)
-    for c in before:
-        used_slots[slots[c]], used[measured[c]] = True, True
+    used_slots[slots[made]], used[measured[made]] = True, True
     out, count = np.empty(len(slots), np.int64), 0
-    for c in np.argsort(distances, kind="mergesort"):
-        if not distances[c] < gate:
+    for c in pairings.fixed + np.argsort(node.added[pairings.fixed :], kind="mergesort"):
+        if not node.added[c] < gate:
             break
-        if not used[measured[c]] and not used_slots[slots[c]]:
+        free = not used[measured[c]] and not used_slots[slots[c]]
+        if free and is_local(local, slots[made[0]], slots[c]):
             used_slots[slots[c]], used[measured[c]] = True, True
             out[count] = c
             count += 1

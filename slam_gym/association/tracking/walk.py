@@ -9,22 +9,8 @@ import numpy as np
 
 from slam_gym.association.compatibility import Candidates, chi2_gate, individual
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.observation import (
-    Choice,
-    Surroundings,
-    encode,
-    nothing,
-    surroundings_of,
-)
-from slam_gym.association.tree import (
-    add_pairing,
-    added_by,
-    decided,
-    hypothesis,
-    interpretation_tree,
-    root,
-    root_of,
-)
+from slam_gym.association.tracking.observation import Choice, encode, local_of, nothing
+from slam_gym.association.tree import add_pairing, added_by, decided, hypothesis, interpretation_tree, root
 from slam_gym.association.walks import ORDERS, Observation, Order
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
 
@@ -69,11 +55,8 @@ class Walk:
         self.node = root(self.tree)  # the pairings so far, and what may follow them
         self.level = 0  # the level that decides next
         self.chosen = np.full(self.tree.levels, UNPAIRED)  # candidate taken at each level, UNPAIRED for `*`
-        self.hidden = 0  # legal candidates of the current measurement that are not on offer
-        self.hid = False  # so far, some level had any
-        self.mask = np.zeros(candidates + 1, np.bool_)  # (K + 1,) which actions are legal
         self._tests = 0
-        self._surroundings: Surroundings | None = None
+        self._local: BoolArray | None = None  # of the features, for observations
         self._proceed()
 
     @property
@@ -130,13 +113,13 @@ class Walk:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
             return nothing(self.K)
-        if self._surroundings is None:
-            self._surroundings = surroundings_of(self.tree)
+        if self._local is None:
+            self._local = local_of(self.tree)
         starts, level = self.candidates.starts, self.level
         later = int(starts[level + 1])
         compatible = later - int(starts[level])
         choice = Choice(level, self.tree.levels, self.K, self.offered, self.hidden, compatible, later)
-        return encode(self.tree, self.node, self._surroundings, choice)
+        return encode(self.tree, self.node, self._local, choice)
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
@@ -170,44 +153,32 @@ class Walk:
         if not new.any():
             return new
         near = individual(scan, prediction, NEW_CONFIDENCE)
-        pairings = interpretation_tree(scan, prediction, near).pairings
-        node = root_of(pairings)
+        tree = interpretation_tree(scan, prediction, near)
+        node = root(tree)
         for c in np.flatnonzero(decided[near.measured] == near.rows[near.slots]):
-            node = add_pairing(pairings, node, int(c), 0)
+            node = add_pairing(tree.pairings, node, int(c), 0)
         new[near.measured[node.added < chi2_gate(2, NEW_CONFIDENCE)]] = False
         return new
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""
-        starts, node = self.candidates.starts.tolist(), self.node
-        while self.level < self.tree.levels:
+        starts, node, tree = self.candidates.starts.tolist(), self.node, self.tree
+        self.offered, self.hidden = np.empty(0, np.int64), 0  # pairings, and the number of legal ones beyond K
+        while self.level < tree.levels:
             first, last = starts[self.level], starts[self.level + 1]
+            self._tests += last - first
             if first < last:
-                self._tests += last - first
-                legal = np.flatnonzero(self._added(first, last) < self._gate - node.distance)
+                added, gate = node.added[first:last], math.inf
+                if self.joint:
+                    added = added_by(tree.pairings, node.path, node.added, first, last)
+                    gate = float(tree.gates[self.pairings + 1])
+                legal = first + np.flatnonzero(added < gate - node.distance)
                 if len(legal):
-                    self._offer(first + legal)
-                    return
+                    self.offered, self.hidden = legal[: self.K], max(len(legal) - self.K, 0)
+                    break
             self.level += 1
-        self.offered, self.hidden = np.empty(0, np.int64), 0
-        self.mask = np.zeros(self.K + 1, np.bool_)
-
-    @property
-    def _gate(self) -> float:
-        return float(self.tree.gates[self.pairings + 1]) if self.joint else math.inf
-
-    def _added(self, first: int, last: int) -> Array:
-        """What the candidates of a level would add to D²_H; inf where the compatibility asked for rules them out."""
-        if not self.joint:
-            return self.node.added[first:last]
-        return added_by(self.tree.pairings, self.node.path, self.node.added, first, last)
-
-    def _offer(self, legal: IntArray) -> None:
-        self.offered = legal[: self.K]
-        self.hidden = len(legal) - len(self.offered)
-        self.hid |= self.hidden > 0
-        self.mask = np.arange(self.K + 1) < len(self.offered)
-        self.mask[self.K] = True
+        self.mask = np.arange(self.K + 1) < len(self.offered)  # (K + 1,) which actions are legal
+        self.mask[self.K] = not self.done
 
 
 def check_arguments(candidates: int, order: str, compatibility: str) -> None:

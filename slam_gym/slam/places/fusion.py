@@ -28,7 +28,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, least_pairs, parts_of, recent_part, recognise
-from slam_gym.slam.places.verification import agreeing, attributes_agree, never_together, overlap
+from slam_gym.slam.places.verification import agreeing, attributes_agree, overlap
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Relocation
 
 NO_PAIRS = np.empty((0, 2), np.int64)
@@ -92,7 +92,8 @@ def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec)
     paired = found.features != UNPAIRED
     pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
     pairs = agreeing(m, pairs[np.argsort(pairs[:, 0])], spec, prior=True)
-    believed = len(pairs) >= spec.min_pairs and never_together(graph, pairs)
+    seen_together = any(graph.count(older, newer) for older, newer in pairs.tolist())
+    believed = len(pairs) >= spec.min_pairs and not seen_together
     return pairs if believed and overlap(m, parts, pairs) >= spec.min_fraction else NO_PAIRS
 
 

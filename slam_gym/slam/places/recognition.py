@@ -20,7 +20,7 @@ The more places a building has, the more alike are some of them: a search among 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -108,7 +108,7 @@ def recognise(
     `graph` is the covisibility of `of`. The pose found is that of the base of `m` in the base of `of`. Returns None if
     too few features are paired, if as many are paired at another pose, or if their mirror image pairs nearly as many.
     """
-    scan, landmarks = as_scan(m, recent), landmarks_of(of, among)
+    scan, landmarks = as_scan(m, recent), of.landmarks(among)
     first, second = np.nonzero(graph.among(among))
     locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
     needed = max(least_pairs(len(among), spec), required_pairings(scan, landmarks))
@@ -139,20 +139,14 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     The docstring of this module derives the covariances.
     """
     points = m.positions[group]
-    shape = _shape_covariance(points, m.covariance_of(group))
+    G = rigid_motions(points)
+    J = np.eye(len(G)) - G @ np.linalg.pinv(G)
+    shape = J @ m.covariance_of(group) @ J.T
     g = np.arange(len(group))
     blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + VARIANCE_FLOOR * np.eye(2)
     kappa = max(1.0, float(eigh(0.5 * (shape + shape.T), block_diag(*blocks), eigvals_only=True)[-1]))
     covariances = kappa * 0.5 * (blocks + blocks.transpose(0, 2, 1))
     return Scan(points, covariances, m.sizes[group], m.size_variances[group], m.kinds[group])
-
-
-def _shape_covariance(points: Array, P: Array) -> Array:
-    """J P Jᵀ (2g, 2g): the covariance of points (g, 2) without any rigid motion of the group."""
-    G = rigid_motions(points)
-    J = np.eye(len(G)) - G @ np.linalg.pinv(G)
-    out: Array = J @ P @ J.T
-    return out
 
 
 def rigid_motions(points: Array) -> Array:
@@ -162,13 +156,6 @@ def rigid_motions(points: Array) -> Array:
     G[0::2, 0] = G[1::2, 1] = 1.0
     G[0::2, 2], G[1::2, 2] = -y, x
     return G
-
-
-def landmarks_of(m: StochasticMap, features: IntArray) -> Landmarks:
-    """The `features` (k,) of a map as landmarks, with their joint covariance."""
-    landmarks = Landmarks.from_points(m.positions[features], covariance=m.covariance_of(features))
-    attributes = {name: getattr(m, name)[features] for name in ("sizes", "size_variances", "kinds")}
-    return replace(landmarks, **attributes)
 
 
 def mirrored(scan: Scan) -> Scan:

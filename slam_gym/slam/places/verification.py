@@ -19,12 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.constraints import unary
+from slam_gym.association.relocation.constraints import unary_table
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
-from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.places.recognition import Parts, RecognitionSpec, landmarks_of, rigid_motions
-from slam_gym.types import Array, BoolArray, IntArray, Scan
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec, rigid_motions
+from slam_gym.types import Array, BoolArray, IntArray
 
 _ONE_PAIR = 0.99  # confidence of the test of what a single pair adds
 _UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it should reject the impossible, not choose among the possible
@@ -81,11 +80,6 @@ def agreeing(m: StochasticMap, pairs: IntArray, spec: RecognitionSpec, *, prior:
     return pairs[:0]
 
 
-def never_together(graph: CovisibilityGraph, pairs: IntArray) -> bool:
-    """Whether no scan saw both features of any of the pairs (k, 2)."""
-    return not any(graph.count(older, newer) for older, newer in pairs.tolist())
-
-
 def overlap(m: StochasticMap, parts: Parts, pairs: IntArray) -> float:
     """Ratio of the pairs (k, 2) to the features of the part that has fewer in the circle around its paired ones."""
     positions, counts = m.positions, []
@@ -99,5 +93,5 @@ def overlap(m: StochasticMap, parts: Parts, pairs: IntArray) -> float:
 
 def attributes_agree(m: StochasticMap, older: IntArray, newer: IntArray) -> BoolArray:
     """(b, a) whether size and kind allow each pair of a newer (b,) and an older feature (a,)."""
-    of_newer = m.sizes[newer], m.size_variances[newer], m.kinds[newer]
-    return unary(Scan(m.positions[newer], m.covariances[newer], *of_newer), landmarks_of(m, older), _UNARY_CONFIDENCE)
+    of_newer, of_older = ((m.sizes[part], m.size_variances[part], m.kinds[part]) for part in (newer, older))
+    return unary_table(of_newer, of_older, chi2_gate(1, _UNARY_CONFIDENCE))

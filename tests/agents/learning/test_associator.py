@@ -19,7 +19,7 @@ from agents.learning.associator import (
     trained,
     untrained,
 )
-from slam_gym.association.tracking.marginal import marginals
+from slam_gym.association.tracking.marginal import weigh
 from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.judged import RightAnswers
@@ -48,7 +48,7 @@ def answered(seed: int, heading: float = 0.0):
 def test_without_odds_the_probabilities_are_the_marginals(seed):
     scan, prediction, truth, found = answered(seed)
     p = probabilities(torch.zeros(len(found.inputs)), Batch.of([found])).numpy()[0, found.known]
-    whole = marginals(scan, prediction, width=150, margin=16.0)
+    whole = weigh(scan, prediction, width=150, margin=16.0)[1]
     expected = [
         whole.unpaired[i] if truth.right[i] == UNPAIRED else whole.pairings[i, truth.right[i]]
         for i in np.flatnonzero(found.known)

@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.relocation.constraints import binary_test, orientation_test, unary
+from slam_gym.association.relocation.constraints import binary_test, orientation_test
 from slam_gym.association.relocation.problem import problem_of
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 from tests.oracles.statistics import for_seeds
+
+
+def unary(scan, landmarks, confidence=0.99):
+    """Which measurement may come from which feature by what they are."""
+    return problem_of(scan, landmarks, None, confidence).allowed
 
 
 def binary(scan, landmarks, *pairs, confidence=0.99):

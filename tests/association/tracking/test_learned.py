@@ -9,7 +9,7 @@ from slam_gym import Slam, learned_associator, marginal
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.learned import WEIGHTS, examples
-from slam_gym.association.tracking.marginal import marginals
+from slam_gym.association.tracking.marginal import weigh
 from slam_gym.association.tracking.network import (
     FARTHEST,
     INPUTS,
@@ -75,7 +75,7 @@ def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(see
     expected = np.zeros((8, 11))
     for rows, weight in zip(example.hypotheses, weights / weights.sum()):
         expected[np.arange(8), rows] += weight
-    found = marginals(scan, prediction, **wide, network=network)
+    found = weigh(scan, prediction, **wide, network=network)[1]
     assert found.pairings == pytest.approx(expected[:, :10], abs=1e-6)
     assert found.unpaired == pytest.approx(expected[:, 10], abs=1e-6)
 

@@ -11,7 +11,7 @@ from scipy.special import gammaln, logsumexp
 from slam_gym.association import jcbb, marginal
 from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, marginals
+from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, weigh
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
@@ -23,7 +23,7 @@ from tests.oracles.statistics import for_seeds
 @for_seeds(40)
 def test_decisions_follow_the_cost_of_a_wrong_pairing(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
-    found, row_of = marginals(scan, prediction), {int(f): j for j, f in enumerate(prediction.features)}
+    found, row_of = weigh(scan, prediction)[1], {int(f): j for j, f in enumerate(prediction.features)}
     p, paired = found.pairings, []
     assert (p.sum(axis=0) <= 1.0 + 1e-9).all() and (p.sum(axis=1) <= 1.0 + 1e-9).all()
     for cost in (1.0, 3.0, 10.0, 1000.0):
@@ -101,7 +101,7 @@ def test_experience_goes_with_the_run_and_is_nobody_elses():
 def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():
     prediction = Prediction.from_gaussian([[0.0, 0.0], [1.0, 0.0]], 0.05 * np.eye(4))
     scan = Scan.from_points([[0.4, 0.0]], sigma=0.05)
-    p = marginals(scan, prediction).pairings[0]
+    p = weigh(scan, prediction)[1].pairings[0]
     assert 0.6 < p[0] < 0.9  # worth it at a cost of 1, not at 10
     for provisional, price, expected in ((True, 1.0, 0), (True, 10.0, UNPAIRED), (False, 1.0, UNPAIRED)):
         told = oracles.expecting(
@@ -148,10 +148,10 @@ def summed(m, n, every, log_densities):
 def test_marginals_are_sums_over_every_hypothesis(seed):
     scan, prediction, every, scores = experienced(seed, locality=seed % 2 == 0)  # of which nothing is left out
     expected = summed(len(scan), len(prediction), every, scores)
-    found = marginals(scan, prediction, **WIDE)
+    found = weigh(scan, prediction, **WIDE)[1]
     assert found.pairings == pytest.approx(expected, abs=1e-9)
     assert found.unpaired == pytest.approx(1.0 - expected.sum(axis=1), abs=1e-9)
-    assert marginals(scan, prediction).pairings == pytest.approx(expected, abs=0.002)
+    assert weigh(scan, prediction)[1].pairings == pytest.approx(expected, abs=0.002)
 
 
 def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
@@ -181,7 +181,7 @@ def test_marginals_are_calibrated_where_the_model_holds():
     known = Experience(1e3, 1e4, np.where(DETECTIONS == 0.85, 0.0, -1e9))
     for _ in range(500):
         scan, prediction, sources = drawn_from_the_model(rng, 6, 0.85, 0.1)
-        found = marginals(scan, dataclasses.replace(prediction, experience=known))
+        found = weigh(scan, dataclasses.replace(prediction, experience=known))[1]
         predicted.append(found.pairings[found.pairings > 0.0])
         right.append((sources[:, None] == np.arange(6))[found.pairings > 0.0])
     p, hit = np.concatenate(predicted), np.concatenate(right)
