@@ -19,24 +19,24 @@ MAX_BYTES = 1 << 26  # of a file, or of its unpacked content, unless a reader se
 
 
 def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
-    """The bytes of a file. Raises ValueError for more than `limit` bytes, and OSError as `open`."""
+    """The bytes of a file, unpacked if its name ends in `.gz`.
+
+    Raises ValueError for more than `limit` bytes, packed or unpacked, and for a damaged gzip file; OSError as `open`.
+    """
     with path.open("rb") as file:
         content = file.read(limit + 1)
     if len(content) > limit:
         raise ValueError(f"is larger than {limit >> 20} MB")
-    return content
-
-
-def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
-    """The unpacked content of gzip data. Raises ValueError for damage, and for more than `limit` unpacked bytes."""
+    if path.suffix != ".gz":
+        return content
     try:
-        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
-            unpacked = file.read(limit + 1)
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as packed:
+            content = packed.read(limit + 1)
     except Exception as error:  # gzip raises OSError, EOFError or zlib.error
         raise ValueError(f"is not a readable gzip file: {error}") from None
-    if len(unpacked) > limit:
+    if len(content) > limit:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
-    return unpacked
+    return content
 
 
 def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]:
@@ -53,18 +53,22 @@ def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]
     return array
 
 
-def zip_members(content: bytes, limit: int = MAX_BYTES) -> dict[str, bytes]:
-    """The members of a zip file by name. Raises ValueError for damage, and for more than `limit` bytes declared."""
+def npz_members(path: Path, limit: int = MAX_BYTES) -> dict[str, bytes]:
+    """The `.npy` files in a `.npz` file, by the names of their arrays.
+
+    Raises ValueError for damage, and for more than `limit` bytes, packed or as declared; OSError as `open`.
+    """
+    content = content_of(path, limit)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
-            declared = sum(entry.file_size for entry in entries)
-            members = {entry.filename: archive.read(entry) for entry in entries} if declared <= limit else None
+            too_large = sum(entry.file_size for entry in entries) > limit
+            members = {entry.filename: archive.read(entry) for entry in entries if not too_large}
     except Exception as error:  # zipfile raises various errors
         raise ValueError(f"is not a readable zip file: {error}") from None
-    if members is None:
+    if too_large:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
-    return members
+    return {name.removesuffix(".npy"): member for name, member in members.items()}
 
 
 def json_of(content: bytes | str) -> Any:

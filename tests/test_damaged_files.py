@@ -13,7 +13,8 @@ from scipy.io import savemat
 
 from slam_gym import weights
 from slam_gym.recordings import load, open_recordings
-from slam_gym.recordings.mrclam import mrclam, stationary
+from slam_gym.recordings.mrclam import mrclam
+from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
 from tests.recordings.test_pose_graph import files
 from tests.recordings.test_recording import by_hand
@@ -30,10 +31,14 @@ MRCLAM = {
     "Robot1_Measurement.dat": "\n".join(f"{100.5 + k // 2:.3f} {(63, 25)[k % 2]} 1.5 0.05" for k in range(6)),
     "Robot1_Groundtruth.dat": "\n".join(f"{100 + 0.1 * k:.3f} {0.01 * k:.3f} 0 0" for k in range(40)),
 }
-GROUPS = {
-    "landmark": np.array([[1.0, 0.0, 1.0], [2.0, 2.0, 0.0], [3.0, 1.0, 3.0]]),
-    "groundtruth": np.array([[1.0, 0.0, 0.0, 0.5]]),
-    "measurement": np.array([[1.0, 1.0, 2.0, 0.1], [1.0, 2.0, 1.5, -0.3], [1.0, 3.0, 2.5, 0.4]]),
+PARK = {
+    "aa3_dr": {"time": [0.0, 900.0, 2000.0], "speed": [1.0, 1.0, 2.0], "steering": [0.0, 0.1, -0.2]},
+    "VictoriaParkSinSincronizar": {
+        "TLsr": [0.5, 1.5],
+        "zt": np.array([[9.0, 1.2, 0.3], [8.0, 3.0, 1.1, 2.0, 0.3, 0.5]], object),
+    },
+    "aa3_gpsx": {"timeGps": [0.0, 2000.0], "Lo_m": [0.0, 1.5], "La_m": [0.0, 0.1]},
+    "data_sensor_clean_clean": {"data_sensor_clean_clean": [[500.0, 9.0, 1.2, 0.0, 0.0, 7.0]]},
 }
 
 
@@ -123,23 +128,26 @@ def test_mrclam_sets(tmp_path, name, zipped) -> None:
     assert refusals(lambda _: mrclam(tmp_path, 1), path, whole, damages, tmp_path) > 0
 
 
-def test_matlab_files(tmp_path) -> None:
+@pytest.mark.parametrize("name", PARK)
+def test_matlab_files(tmp_path, name) -> None:
     def cut(whole, rng):
         return whole[: rng.integers(len(whole))]
 
     def changed(_, rng):
-        tables = {name: table.copy() for name, table in GROUPS.items()}
-        name = sorted(tables)[rng.integers(3)]
-        table = tables[name]
-        table[rng.integers(len(table)), rng.integers(table.shape[1])] = rng.choice([np.nan, np.inf, 1e300, -3.0, 0.5])
-        kinds = (table, table.T, table[:, :2], np.array("text"))
-        tables[name] = kinds[rng.integers(len(kinds))]
-        return packed(savemat, tables)
+        tables = {key: np.array(table) for key, table in PARK[name].items() if key != "zt"}
+        key = sorted(tables)[rng.integers(len(tables))]
+        table = tables[key]
+        table.flat[rng.integers(table.size)] = rng.choice([np.nan, np.inf, 1e300, -3.0, 0.5])
+        kinds = (table, table.T, table[:-1], np.array("text"))
+        tables[key] = kinds[rng.integers(len(kinds))]
+        return packed(savemat, PARK[name] | tables)
 
-    path = tmp_path / "mrclam1.mat"
-    path.write_bytes(packed(savemat, GROUPS))
-    assert len(stationary(path)) == 1
-    assert refusals(stationary, path, path.read_bytes(), (cut, changed)) > INPUTS / 2
+    for each, tables in PARK.items():
+        savemat(tmp_path / f"{each}.mat", tables)
+    path = tmp_path / f"{name}.mat"
+    assert len(victoria_park(tmp_path)) == 2
+    found = refusals(lambda _: victoria_park(tmp_path), path, path.read_bytes(), (cut, changed), tmp_path)
+    assert found > INPUTS / 2
 
 
 def test_floor_plans(tmp_path) -> None:

@@ -14,8 +14,7 @@ from slam_gym.recordings import mrclam as _mrclam
 from slam_gym.recordings import victoria_park as _victoria_park
 from slam_gym.recordings.csv_log import from_csv
 from slam_gym.recordings.pose_graph import g2o, isam
-from slam_gym.recordings.reading import RecordingError
-from slam_gym.recordings.recording import Recording, load, save, write_tum
+from slam_gym.recordings.recording import Recording, RecordingError, load, save, write_tum
 
 __all__ = [
     "DATA",

@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from slam_gym._files import content_of
-from slam_gym.recordings.reading import RecordingError, naming, starts_of
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, RecordingError, naming, starts_of
 from slam_gym.types import UNLABELLED, Array, IntArray, Odometry, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")

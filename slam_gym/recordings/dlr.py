@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_gym._files import content_of, gunzipped
-from slam_gym.recordings.reading import RecordingError, naming, starts_of
-from slam_gym.recordings.recording import Recording
+from slam_gym._files import content_of
+from slam_gym.recordings.recording import Recording, RecordingError, naming, published_file, starts_of
 from slam_gym.types import SPURIOUS, UNLABELLED, Array
 
 SOURCE = (
@@ -38,14 +37,9 @@ def dlr(folder: str | Path) -> Recording:
     Circles labelled −1 are spurious; circles without an identity, or with several, are UNLABELLED. There is no ground
     truth of robot or circles. Raises FileNotFoundError, or RecordingError that names file and line.
     """
-    folder = Path(folder)
-    path = next((p for p in (folder / f"{FILE}.gz", folder / FILE) if p.is_file()), None)
-    if path is None:
-        raise FileNotFoundError(f"{folder / FILE}: not there, gzipped or not. {SOURCE}")
+    path = published_file(Path(folder), FILE, SOURCE)
     with naming(path):
-        content = content_of(path)
-        text = (gunzipped(content) if path.suffix == ".gz" else content).decode("ascii", errors="replace")
-        motions, circles, sources, counts = _lines(text)
+        motions, circles, sources, counts = _lines(content_of(path).decode("ascii", errors="replace"))
         points = circles[:, :2] @ _TURN[:2, :2].T
         return Recording(
             name="dlr",

@@ -3,7 +3,6 @@
 Published by K. Leung, Y. Halpern, T. Barfoot and H. Liu, "The UTIAS multi-robot cooperative localization and mapping
 dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder with `Barcodes.dat`,
 `Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
-Its stationary groups are relocation problems; S. Choi extracted them (Triangulation Toolbox, `mrclamN.mat`).
 """
 
 from __future__ import annotations
@@ -15,18 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_gym._files import content_of, gunzipped
+from slam_gym._files import content_of
 from slam_gym.geometry import wrap_angles
-from slam_gym.recordings.reading import (
-    RecordingError,
-    Spans,
-    naming,
-    numbers_of,
-    read_matlab,
-    refuse_rows,
-    starts_of,
-)
-from slam_gym.recordings.recording import Recording, interpolate
+from slam_gym.recordings.recording import Recording, RecordingError, Spans, interpolate, naming, published_file
 from slam_gym.types import SPURIOUS, Array, IntArray, Scan
 
 SOURCE = (
@@ -63,14 +53,8 @@ class Noise:
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]
 
-    def scan(self, ranges: Array, bearings: Array) -> Scan:
-        """The scan of barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
-        return Scan.from_polar(ranges, bearings, np.hypot(self.range, self.range_per_metre * ranges), self.bearing)
 
-
-ROAMING = Noise()
-GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
-"""Noise of the stationary groups: with their poses, σ of ranges is 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+NOISE = Noise()
 
 
 def mrclam(folder: str | Path, robot: int) -> Recording:
@@ -94,8 +78,9 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
             raise RecordingError("there is no measurement within the times of the ground truth")
         first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
         times = measured[first, 0]
-        motions, motion_covariances = _driven(times, odometry, ROAMING)
-        seen = ROAMING.scan(measured[:, 2], measured[:, 3])
+        motions, motion_covariances = _driven(times, odometry)
+        range_sigmas = np.hypot(NOISE.range, NOISE.range_per_metre * measured[:, 2])
+        seen = Scan.from_polar(measured[:, 2], measured[:, 3], range_sigmas, NOISE.bearing)
         poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
         return Recording(
             name=f"mrclam/{folder.name}/robot{robot}",
@@ -137,12 +122,9 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False, co
 
     `ascending`: the first column must ascend. `counts`: number of leading columns that must be integers ≥ 0.
     """
-    path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
-    if path is None:
-        raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {SOURCE}")
+    path = published_file(folder, name, SOURCE)
     with naming(path):
-        content = content_of(path)
-        table = np.loadtxt(io.BytesIO(gunzipped(content) if path.suffix == ".gz" else content), ndmin=2)
+        table = np.loadtxt(io.BytesIO(content_of(path)), ndmin=2)
         if len(table) == 0 or table.shape[1] != columns:
             raise RecordingError(f"no table of {columns} columns")
         bad = ~(np.abs(table) <= _LARGEST).all(axis=1)
@@ -155,14 +137,14 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False, co
     return table
 
 
-def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
+def _driven(times: Array, odometry: Array) -> tuple[Array, Array]:
     """Motion (T, 3) and covariance (T, 3, 3) between `times`, from commands (time, v, ω) that hold until the next one.
 
     An early error of the heading becomes a lateral error later: C = Σ F Q Fᵀ over the spans, F = ∂u/∂du.
     """
-    spans = Spans.between(times, odometry[:, 0] + noise.delay)
+    spans = Spans.between(times, odometry[:, 0] + NOISE.delay)
     v, w = np.where(spans.command >= 0, odometry[spans.command, 1:].T, 0.0)
-    v, w, dt = noise.forward_scale * v, noise.turn_scale * w, spans.seconds
+    v, w, dt = NOISE.forward_scale * v, NOISE.turn_scale * w, spans.seconds
     heading = spans.headings(dt * w) + 0.5 * dt * w
     c, s = np.cos(heading), np.sin(heading)
     moved = dt * np.array([v * c, v * s, w])
@@ -170,9 +152,9 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
     cumulative = np.cumsum(moved[:2], axis=1)  # from the start of the log, used for the remainder of each step
     last = np.searchsorted(spans.step, spans.step, side="right") - 1
     x_left, y_left = cumulative[:, last] - cumulative
-    along = dt * ((noise.forward * v) ** 2 + noise.drift**2)
-    across = dt * ((noise.lateral * v) ** 2 + noise.drift**2)
-    turned = dt * ((noise.turn * w) ** 2 + noise.turn_drift**2)
+    along = dt * ((NOISE.forward * v) ** 2 + NOISE.drift**2)
+    across = dt * ((NOISE.lateral * v) ** 2 + NOISE.drift**2)
+    turned = dt * ((NOISE.turn * w) ** 2 + NOISE.turn_drift**2)
     entries = {
         (0, 0): c * c * along + s * s * across + y_left**2 * turned,
         (0, 1): c * s * (along - across) - x_left * y_left * turned,
@@ -189,53 +171,3 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
         covariances[:, column, row] = covariances[:, row, column]
     motions[:, 2] = wrap_angles(motions[:, 2])
     return motions, covariances
-
-
-_FARTHEST_GROUP = 1e5  # [m], [rad] greatest number in a file of this dataset
-_COLUMNS = {"landmark": 3, "groundtruth": 4, "measurement": 4}  # columns of each variable of a file
-
-
-def stationary(path: str | Path) -> Recording:
-    """Read the stationary groups: three or more measurements within a second and a centimetre, with the true pose.
-
-    Each group is one step: the motion between groups is unknown and set to zero, and the reference poses are those of
-    the steps. The file is `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. The authors of the groups removed
-    gross errors and barcodes of robots: nothing is spurious. Most groups repeat the previous group, since robots stand
-    still for long. Raises FileNotFoundError, or RecordingError that names file, variable and row.
-    """
-    path = Path(path)
-    content = read_matlab(path, list(_COLUMNS), SOURCE)
-    tables = {name: numbers_of(path, name, content[name], columns) for name, columns in _COLUMNS.items()}
-    landmarks, truth, measured = tables.values()
-    for name, table in tables.items():
-        refuse_rows(
-            path, name, (np.abs(table[:, 1:]) > _FARTHEST_GROUP).any(axis=1), f"holds more than {_FARTHEST_GROUP:g}"
-        )
-    whole = (landmarks[:, 0] == np.round(landmarks[:, 0])) & (landmarks[:, 0] >= 0) & (landmarks[:, 0] < 1 << 53)
-    refuse_rows(path, "landmark", ~whole, "has no whole number")
-    if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
-        raise RecordingError(f"{path}: variable 'groundtruth': the groups are not numbered 1 … {len(truth)}")
-    for column, known, what in ((0, truth[:, 0], "group"), (1, landmarks[:, 0], "landmark")):
-        refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} in this file")
-    measured = measured[np.argsort(measured[:, 0], kind="stable")]
-    times = np.arange(len(truth), dtype=np.float64)
-    with naming(path):
-        seen = GROUPED.scan(measured[:, 2], measured[:, 3])
-        return Recording(
-            name=f"mrclam/stationary/{path.stem}",
-            source=SOURCE,
-            terms=TERMS,
-            times=times,
-            motions=np.zeros((len(truth), 3)),
-            motion_covariances=np.zeros((len(truth), 3, 3)),
-            starts=starts_of(np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))),
-            points=seen.points,
-            covariances=seen.covariances,
-            sources=measured[:, 1].astype(np.int64),
-            reference_times=times,
-            reference_poses=truth[:, 1:].copy(),
-            landmark_ids=landmarks[:, 0].astype(np.int64),
-            landmarks=landmarks[:, 1:].copy(),
-            range=_RANGE,
-            field_of_view=_FIELD_OF_VIEW,
-        )

@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._files import content_of
-from slam_gym.recordings.reading import RecordingError, naming
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, RecordingError, naming
 from slam_gym.types import Array
 
 _MAX_BYTES = 1 << 25

@@ -6,19 +6,19 @@ are those of the simulator, so whatever runs on one runs on the other.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import array_of, content_of, zip_members
+from slam_gym._files import array_of, npz_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
-from slam_gym.recordings.reading import RecordingError, naming, starts_of
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
 FORMAT, VERSION = "slam_gym recording", 1
@@ -29,6 +29,21 @@ _NUMBERS = ("range", "field_of_view")
 _LARGEST_IDENTITY = 1 << 20
 _LARGEST = 1e9  # [m] greatest coordinate or standard deviation: squares of larger ones may overflow later
 _TOLERANCE = 1e-9  # for asymmetry and negative eigenvalues, relative to the largest entry
+
+
+class RecordingError(ValueError):
+    """A recording, or a file that should contain one, is invalid. The message names the file, field or line."""
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Turn errors into RecordingErrors that name the file or folder `path`. Floating-point warnings are suppressed."""
+    try:
+        with np.errstate(all="ignore"):  # the checks of fields reject numbers that overflow
+            yield
+    except (ValueError, ArithmeticError) as error:
+        message = str(error)
+        raise RecordingError(message if message.startswith(str(path)) else f"{path}: {message}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +111,7 @@ class Recording:
         last = len(self) if last is None else last
         if not 0 <= first < last <= len(self):
             raise IndexError(f"steps {first} … {last} of a recording of {len(self)}")
-        return replace(
-            self,
-            times=self.times[first:last],
-            motions=self.motions[first:last],
-            motion_covariances=self.motion_covariances[first:last],
-            starts=self.starts[first : last + 1] - self.starts[first],
-            **self._measurements(slice(self.starts[first], self.starts[last])),
-        )
+        return self._reduced(slice(first, last), self.motions, self.motion_covariances)
 
     def every(self, count: int) -> Recording:
         """Steps 0, `count`, 2·`count` …; motions and covariances of the steps between are compounded.
@@ -120,21 +128,20 @@ class Recording:
                 before = to_before @ covariances[k - 1] @ to_before.T
                 joint = before + to_motion @ self.motion_covariances[k] @ to_motion.T
                 covariances[k] = 0.5 * (joint + joint.T)
-        kept = slice(None, None, count)
-        counts = np.diff(self.starts)
-        rows = np.repeat(np.arange(len(self)) % count == 0, counts)
+        return self._reduced(slice(None, None, count), motions, covariances)
+
+    def _reduced(self, kept: slice, motions: Array, motion_covariances: Array) -> Recording:
+        """The `kept` steps and their measurements, with their motions among the given ones of all steps."""
+        counts, steps = np.diff(self.starts), np.arange(len(self))
+        rows = np.repeat(np.isin(steps, steps[kept]), counts)
         return replace(
             self,
             times=self.times[kept],
             motions=motions[kept],
-            motion_covariances=covariances[kept],
+            motion_covariances=motion_covariances[kept],
             starts=starts_of(counts[kept]),
-            **self._measurements(rows),
+            **{name: getattr(self, name)[rows] for name in _PER_MEASUREMENT},
         )
-
-    def _measurements(self, rows: slice | BoolArray) -> dict[str, Any]:
-        """The fields that have a row for each measurement, restricted to `rows`."""
-        return {name: getattr(self, name)[rows] for name in _PER_MEASUREMENT}
 
 
 def save(recording: Recording, path: str | Path) -> None:
@@ -154,8 +161,7 @@ def load(path: str | Path) -> Recording:
     """
     known = {field.name for field in fields(Recording)}
     with naming(path):
-        members = zip_members(content_of(Path(path)))
-        content = {name.removesuffix(".npy"): member for name, member in members.items()}
+        content = npz_members(Path(path))
         if unknown := sorted(set(content) - known - {"format", "version"}):
             raise RecordingError(f"unknown field {unknown[0][:40]!r}")
         for name in ("format", "version", *sorted(known)):
@@ -260,3 +266,44 @@ def _are_covariances(matrices: Array) -> BoolArray:
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= _TOLERANCE * scale
     good: BoolArray = symmetric & (np.linalg.eigvalsh(matrices).min(axis=1) >= -_TOLERANCE * scale)
     return good
+
+
+# -- for the readers of logs -----------------------------------------------------------------------------------------
+
+
+def published_file(folder: Path, name: str, source: str) -> Path:
+    """The path of a published file, gzipped or not. Raises FileNotFoundError that names its `source`."""
+    for path in (folder / name, folder / f"{name}.gz"):
+        if path.is_file():
+            return path
+    raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {source}")
+
+
+def starts_of(counts: ArrayLike) -> IntArray:
+    """(T + 1,) rows at which the measurements of each step start, and the end; `counts` (T,) are their numbers."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+class Spans(NamedTuple):
+    """The time between the scans of a log, divided into spans of constant command."""
+
+    step: IntArray  # (s,) the scan that each span leads to
+    command: IntArray  # (s,) the command during each span, −1 before the first command
+    seconds: Array  # (s,) duration
+
+    @classmethod
+    def between(cls, looks: Array, commands: Array) -> Spans:
+        """Spans for scans at the times `looks` (T,) and commands from the times `commands` (n,), both ascending [s]."""
+        within = commands[(commands > looks[0]) & (commands < looks[-1])]
+        edges = np.unique(np.concatenate([looks, within]))
+        after = np.searchsorted(looks, edges[:-1], side="right")
+        return cls(after, np.searchsorted(commands, edges[:-1], side="right") - 1, np.diff(edges))
+
+    def headings(self, turns: Array) -> Array:
+        """(s,) [rad] heading at the start of each span, relative to the scan before it; `turns` (s,) [rad]."""
+        before = np.cumsum(turns) - turns
+        return before - before[np.searchsorted(self.step, self.step)]
+
+    def sums(self, values: Array, looks: int) -> Array:
+        """(T,) sum of the `values` (s,) of the spans that lead to each of the T = `looks` scans."""
+        return np.asarray(np.bincount(self.step, values, looks), np.float64)

@@ -10,22 +10,17 @@ The reader needs in one folder: `aa3_dr.mat` (odometry), `VictoriaParkSinSincron
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
 
-from slam_gym.recordings.reading import (
-    RecordingError,
-    Spans,
-    naming,
-    numbers_of,
-    read_matlab,
-    refuse_rows,
-    starts_of,
-)
-from slam_gym.recordings.recording import Recording
+from slam_gym._files import content_of
+from slam_gym.recordings.recording import Recording, RecordingError, Spans, naming, starts_of
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray, Scan
 
 SOURCE = (
@@ -97,16 +92,15 @@ def victoria_park(folder: str | Path) -> Recording:
 def _wheels(path: Path) -> tuple[Array, Array, Array]:
     """Times (n,) [ms], speeds (n,) [m/s] and steering (n,) [rad]."""
     times, speed, steering = _columns(path, ("time", "speed", "steering"))
-    refuse_rows(path, "time", np.diff(times, prepend=times[0]) < 0.0, "comes before the row before it")
-    refuse_rows(path, "speed", np.abs(speed) > _FASTEST, f"is above {_FASTEST:g} m/s")
-    refuse_rows(path, "steering", np.abs(steering) > _SHARPEST, f"is above {_SHARPEST:g} rad")
+    _refuse(path, "time", np.diff(times, prepend=times[0]) < 0.0, "comes before the row before it")
+    _refuse(path, "speed", np.abs(speed) > _FASTEST, f"is above {_FASTEST:g} m/s")
+    _refuse(path, "steering", np.abs(steering) > _SHARPEST, f"is above {_SHARPEST:g} rad")
     return times, speed, steering
 
 
 def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Array]:
     """Three variables of a file, which must have one length."""
-    content = read_matlab(path, names, SOURCE)
-    first, second, third = (numbers_of(path, name, content[name]) for name in names)
+    first, second, third = (_numbers(path, name, value) for name, value in zip(names, read_matlab(path, *names)))
     if not len(first) == len(second) == len(third):
         raise RecordingError(f"{path}: variables {', '.join(names)} are not of one length")
     return first, second, third
@@ -114,10 +108,10 @@ def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Arr
 
 def _detections(path: Path) -> tuple[Array, IntArray, Array]:
     """Times of scans (T,) [s], first row of each (T + 1,), and rows (M, 3): range [m], bearing [rad], diameter [m]."""
-    laser = read_matlab(path, ("TLsr", "zt"), SOURCE)
-    scans, cells = numbers_of(path, "TLsr", laser["TLsr"]), laser["zt"]
+    times, cells = read_matlab(path, "TLsr", "zt")
+    scans = _numbers(path, "TLsr", times)
     far = (np.diff(scans, prepend=scans[0]) < 0.0) | (np.abs(scans) > _LONGEST)
-    refuse_rows(path, "TLsr", far, f"comes before the row before it, or after {_LONGEST:g} s")
+    _refuse(path, "TLsr", far, f"comes before the row before it, or after {_LONGEST:g} s")
     if cells.dtype != object or cells.size != len(scans):
         raise RecordingError(f"{path}: variable 'zt': expected {len(scans)} cells, found {cells.dtype} {cells.shape}")
     tables = []
@@ -159,9 +153,10 @@ def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Ar
 def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> IntArray:
     """(M,) identity of each detection, joined with the labels by time, bearing and range."""
     path, name = folder / "data_sensor_clean_clean.mat", "data_sensor_clean_clean"
-    labels = numbers_of(path, name, read_matlab(path, (name,), SOURCE)[name], 6)
+    (table,) = read_matlab(path, name)
+    labels = _numbers(path, name, table, 6)
     beyond = ~((labels[:, 5] >= 0.0) & (labels[:, 5] < 1 << 31) & (np.abs(labels[:, 0]) < 1 << 53))
-    refuse_rows(path, name, beyond, "has no identity, or no time")
+    _refuse(path, name, beyond, "has no identity, or no time")
     keys = {(round(t), round(b, 6), round(r, 6)): int(source) for t, r, b, _, _, source in labels.tolist()}
     stamps = np.repeat(np.round(1000.0 * scans).astype(np.int64), np.diff(starts))
     rows = zip(stamps.tolist(), polar.tolist(), strict=True)
@@ -170,3 +165,40 @@ def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> I
         time = next(iter(keys))[0]
         raise RecordingError(f"{folder}: {len(keys)} labels fit no detection, the first at {time} ms")
     return np.where(np.isin(stamps, labels[:, 0].astype(np.int64)), identities, UNLABELLED)
+
+
+def read_matlab(path: Path, *names: str) -> list[Any]:
+    """Variables of a MATLAB file.
+
+    Raises FileNotFoundError, or RecordingError for a file that is too large, unreadable or lacks a variable.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not there. {SOURCE}")
+    try:
+        read = loadmat(io.BytesIO(content_of(path)), variable_names=names)
+    except Exception as error:  # scipy raises whatever the damage leads to
+        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
+    for name in names:
+        if name not in read:
+            raise RecordingError(f"{path}: variable {name!r} is missing")
+    return [read[name] for name in names]
+
+
+def _numbers(path: Path, name: str, value: Any, columns: int | None = None) -> Array:
+    """A variable of a MATLAB file as finite float64: a table of `columns` columns, or a flat array if that is None."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.size == 0:
+        raise RecordingError(f"{path}: variable {name!r}: expected numbers, found {array.dtype} {array.shape}")
+    if columns is None:
+        array = array.ravel()
+    elif array.ndim != 2 or array.shape[1] != columns:
+        raise RecordingError(f"{path}: variable {name!r}: expected a table of {columns} columns, found {array.shape}")
+    table = np.ascontiguousarray(array, np.float64)
+    _refuse(path, name, ~np.isfinite(table.reshape(len(table), -1)).all(axis=1), "is not finite")
+    return table
+
+
+def _refuse(path: Path, name: str, bad: Any, what: str) -> None:
+    """Raise RecordingError, naming file, variable and row, at the first row where `bad` (n,) is True."""
+    if bad.any():
+        raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} {what}")

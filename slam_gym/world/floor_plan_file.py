@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._files import array_of, content_of, gunzipped, json_of
+from slam_gym._files import array_of, content_of, json_of
 from slam_gym.world.floor_plan import (
     MAX_EXTENT,
     MAX_PIXELS,
@@ -65,11 +65,12 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
     try:
         if path.suffix == ".json":
             return _parse(path)
-        read = _read_ros_map if path.suffix in (".yaml", ".yml") else _read_labelled_image
-        raster = read(path, resolution)
-        from slam_gym.world.raster import from_raster  # scipy.spatial, which it needs, takes long to import
+        if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz", ".yaml", ".yml")):
+            raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
+        from slam_gym.world.raster import from_raster  # needs OpenCV, an extra, and takes long to import
 
-        return from_raster(**raster)
+        read = _read_ros_map if path.suffix in (".yaml", ".yml") else _read_labelled_image
+        return from_raster(**read(path, resolution))
     except FloorPlanError as error:
         raise FloorPlanError(error.field, error.reason, str(path)) from None
 
@@ -145,8 +146,6 @@ def _read_labelled_image(path: Path, resolution: float | None) -> dict[str, Any]
     An array named `…_occ_map.npy.gz` is read together with the room labels `…_valid_space.npy.gz` beside it, if there
     are any: these are the names of the KTH floor plan data set.
     """
-    if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz")):
-        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
     if resolution is None:
         raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
     image, labels = _read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
@@ -191,21 +190,17 @@ def _yaml(path: Path) -> dict[Any, Any]:
 
 def _read_image(path: Path) -> NDArray[Any]:
     """The pixels (h, w) of an image: uint8 from PGM and PNG, integers or bools from arrays."""
+    image: Any
     try:
-        content = content_of(path)
         if path.name.endswith((".npy", ".npy.gz")):
-            unpacked = gunzipped(content, _MAX_ARRAY) if path.suffix == ".gz" else content
-            image = array_of(unpacked, "biuf", _MAX_ARRAY)
+            image = array_of(content_of(path, _MAX_ARRAY), "biuf", _MAX_ARRAY)
         else:
-            from slam_gym.world.raster import import_cv2
+            import cv2
 
-            cv2 = import_cv2()
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+            image = cv2.imdecode(np.frombuffer(content_of(path), np.uint8), cv2.IMREAD_GRAYSCALE)
     except (ValueError, OSError) as error:
         raise FloorPlanError("image", str(error)) from None
     except Exception as error:  # OpenCV's own
-        if isinstance(error, ImportError):
-            raise
         raise FloorPlanError("image", f"cannot be read ({error})") from None
     if image is None:
         raise FloorPlanError("image", "is not a PGM or PNG image, or not all of it is there")

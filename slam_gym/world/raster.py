@@ -6,8 +6,9 @@ Images are grey: dark = wall, light = free; levels between (such as a ROS map's 
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,11 @@ from scipy.spatial import cKDTree
 from slam_gym.types import Array, IntArray
 from slam_gym.world.draft import MAX_CORNER_SIZE
 from slam_gym.world.floor_plan import MAX_EXTENT, MAX_PIXELS, Door, Features, FloorPlan, FloorPlanError, Kind, Room
+
+try:
+    cv2: Any = importlib.import_module("cv2")
+except ImportError as error:
+    raise ImportError('floor plans from images need OpenCV: pip install "slam_gym[maps]"') from error
 
 FREE_ABOVE = 229  # grey level: lighter pixels are free; halfway between a ROS map's unknown (205) and free (254)
 _PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labelled ones
@@ -67,19 +73,10 @@ def from_raster(
         raise FloorPlanError("occupancy", f"no free space: no pixel of a floor is lighter than {FREE_ABOVE}")
     outlines = trace(free, resolution, _DRAWN if valid is not None else _MEASURED)
     frame = _Frame(free.shape[0], resolution, origin)
-    rings = [frame(ring) for ring in outlines.rings]
+    rings = [frame(outline.ring) for outline in outlines]
     rooms, doors = ((_outermost("floor", rings),), ()) if valid is None else _rooms_and_doors(free, valid, frame)
     walls = np.vstack([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
-    return FloorPlan(name, walls, _features(outlines, rings, doors, frame), rooms, doors)
-
-
-def import_cv2() -> Any:
-    """Import OpenCV. Raises ImportError, naming the extra that installs it."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise ImportError('floor plans from images need OpenCV: pip install "slam_gym[maps]"') from error
-    return cv2
+    return FloorPlan(name, walls, _features(outlines, doors, frame), rooms, doors)
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,6 @@ def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | N
 
 def _largest(free: Mask) -> Mask:
     """The largest 4-connected part of `free`."""
-    cv2 = import_cv2()
     count, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
     return np.asarray(parts == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]), np.uint8) if count > 1 else free
 
@@ -143,7 +139,6 @@ def _doorways(free: Mask, labelled: NDArray[np.bool_], longest: int) -> NDArray[
 
 def _enclosed(free: Mask, resolution: float) -> Mask:
     """The floor in a map without labels: specks are filled, spikes cut, and free space outside is dropped."""
-    cv2 = import_cv2()
     _, parts, stats, _ = cv2.connectedComponentsWithStats(1 - free, connectivity=8)
     speck = stats[:, cv2.CC_STAT_AREA] * resolution**2 < _SPECK
     speck[0] = False  # component 0 is free space
@@ -165,7 +160,6 @@ def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
 
     With `one_part`, the square's centre stays in the largest connected part of the places where it fits.
     """
-    cv2 = import_cv2()
     reach = max(1, round(0.75 * width))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     turned = [(np.cos(angle), np.sin(angle)) for angle in np.arange(4) * np.pi / 8]
@@ -186,7 +180,6 @@ def _outermost(name: str, rings: list[Array]) -> Room:
 
 def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
     """One room per connected part of a label, and a door wherever two rooms meet along a short line."""
-    cv2 = import_cv2()
     labels, compact = np.unique(np.where(free > 0, valid, 0), return_inverse=True)
     compact = compact.reshape(valid.shape)
     rooms: list[Room] = []
@@ -201,11 +194,11 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
         )
         offset = np.array([box[1].start, box[0].start])
         for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
-            rings = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN).rings
-            if not rings:  # a room of a few large pixels
+            outlines = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN)
+            if not outlines:  # a room of a few large pixels
                 continue
             name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
-            rooms.append(_outermost(name, [frame(ring + offset) for ring in rings]))
+            rooms.append(_outermost(name, [frame(outline.ring + offset) for outline in outlines]))
             index[box][parts == part] = len(rooms)
     if not rooms:
         raise FloorPlanError("valid", f"labels no free room of at least {_MIN_ROOM:g} m²")
@@ -214,7 +207,6 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
 
 def _spread(index: NDArray[np.int32]) -> NDArray[np.int32]:
     """`index` (h, w) with every pixel without a room assigned to the nearest room."""
-    cv2 = import_cv2()
     _, nearest = cv2.distanceTransformWithLabels(
         (index == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -247,9 +239,11 @@ def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[
     return tuple(doors)
 
 
-def _features(outlines: Outlines, rings: list[Array], doors: tuple[Door, ...], frame: _Frame) -> Features:
+def _features(outlines: list[Outline], doors: tuple[Door, ...], frame: _Frame) -> Features:
     """The features: corners of the walls, as door jambs where they frame a door, and small islands as pillars."""
-    by_ring = [corners(ring) for ring, pillar in zip(rings, outlines.is_pillar) if not pillar]
+    diameters = np.array([outline.diameter for outline in outlines]) * frame.resolution
+    pillar = diameters <= _PILLAR[1]
+    by_ring = [corners(frame(outline.ring)) for outline, is_pillar in zip(outlines, pillar) if not is_pillar]
     positions = np.vstack([np.zeros((0, 2)), *(position for position, _ in by_ring)])
     sizes = np.clip(np.concatenate([np.zeros(0), *(size for _, size in by_ring)]), frame.resolution, MAX_CORNER_SIZE)
     kinds = np.full(len(positions), int(Kind.CORNER))
@@ -258,53 +252,47 @@ def _features(outlines: Outlines, rings: list[Array], doors: tuple[Door, ...], f
         jamb = from_end < _JAMB_REACH
         kinds[jamb], sizes[jamb] = int(Kind.DOOR_JAMB), door.width
     kept = thinned(positions, kinds.astype(np.float64))
-    centres, diameters = frame(outlines.pillars[:, :2]), outlines.pillars[:, 2] * frame.resolution
+    centres = frame(np.array([outline.centre for outline in outlines]).reshape(-1, 2)[pillar])
     return Features(
         np.vstack([positions[kept], centres]),
         np.concatenate([kinds[kept], np.full(len(centres), int(Kind.PILLAR))]),
-        np.round(np.concatenate([sizes[kept], diameters]), 4),
+        np.round(np.concatenate([sizes[kept], diameters[pillar]]), 4),
     )
 
 
-@dataclass(frozen=True)
-class Outlines:
-    """The simplified outlines of a free region, in pixels: x to the right, y down from the image's upper edge."""
+class Outline(NamedTuple):
+    """A simplified outline of a free region, in pixels: x to the right, y down from the image's upper edge."""
 
-    rings: list[Array]  # each (p, 2), closed implicitly, without straight-through vertices
-    pillars: Array  # (k, 3) x, y of the centre and diameter of small islands; their rings are among `rings`
-    is_pillar: list[bool]  # per ring
+    ring: Array  # (p, 2), closed implicitly, without straight-through vertices
+    centre: tuple[float, float]  # of the smallest circle around an island
+    diameter: float  # of that circle; infinite where free space is inside the ring
 
 
-def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
+def trace(mask: Mask, pixel: float, tolerance: float) -> list[Outline]:
     """Outlines of `mask` along the edges of its pixels of side `pixel` [m], simplified by at most `tolerance` [pixels].
 
     The mask is traced on a lattice of twice its density, in which edges between free and blocked pixels are nodes, so
     that passages keep their full width. Simplification is by the algorithm of Douglas and Peucker (1973).
     """
-    cv2 = import_cv2()
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
     lattice[1::2, 1::2] = mask
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
     contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    rings, pillars, is_pillar = [], [], []
+    outlines = []
     work_left = _MAX_WORK
     for contour, (_, _, _, parent) in zip(contours, hierarchy[0] if len(contours) else []):
         (x, y), radius = cv2.minEnclosingCircle(contour) if parent >= 0 else ((0.0, 0.0), np.inf)
-        diameter = radius * pixel  # a lattice step is half a pixel, so radius in steps = diameter in pixels
-        if diameter < _PILLAR[0]:
+        diameter = radius  # in pixels, since a lattice step is half a pixel
+        if diameter * pixel < _PILLAR[0]:
             continue
         contour = cv2.approxPolyDP(_with_corners(contour[:, 0], lattice)[:, None], 2.0 * tolerance, True)
         work_left -= len(contour) ** 2
         if work_left < 0:
             raise FloorPlanError("occupancy", "its outlines have too many corners: noise is no floor")
         ring = straightened(contour[:, 0] / 2.0)
-        if len(ring) < 3:
-            continue
-        rings.append(ring)
-        is_pillar.append(bool(diameter <= _PILLAR[1]))
-        if is_pillar[-1]:
-            pillars.append((x / 2.0, y / 2.0, radius))
-    return Outlines(rings, np.array(pillars, dtype=np.float64).reshape(-1, 3), is_pillar)
+        if len(ring) >= 3:
+            outlines.append(Outline(ring, (x / 2.0, y / 2.0), diameter))
+    return outlines
 
 
 def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32]:

@@ -14,9 +14,8 @@ from slam_gym.geometry import compose, inverse, observe, relative, transform, wr
 from slam_gym.mapping.smoothing import Smoothed, smooth
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
-from slam_gym.recordings.reading import read_matlab, starts_of
-from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.victoria_park import SOURCE
+from slam_gym.recordings.recording import Recording, starts_of
+from slam_gym.recordings.victoria_park import SOURCE, read_matlab
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, IntArray, Odometry, Scan, Truth
@@ -197,7 +196,7 @@ def victoria_park_clean(path: Path) -> Recording:
 
     Its least-squares optimum is known: χ² = 9012.7193. Steps are numbered, not timed.
     """
-    rows = read_matlab(path, ("VicPark_clean_data",), SOURCE)["VicPark_clean_data"]
+    (rows,) = read_matlab(path, "VicPark_clean_data")
     moves, looks = rows[rows[:, 0] == 1.0], rows[rows[:, 0] == 0.0]
     steps = len(moves) + 1
     assert np.array_equal(moves[:, 2], np.arange(1, steps)) and np.array_equal(moves[:, 1], np.arange(steps - 1))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.recordings import DATA, Recording, RecordingError, open_recordings, save
-from slam_gym.recordings.reading import Spans
+from slam_gym.recordings.recording import Spans
 from tests.recordings.test_recording import by_hand
 
 G2O = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 5 2 1 4 0 4\nVERTEX_SE2 0 3 4 0\nVERTEX_SE2 1 4 4 0\n"

@@ -11,7 +11,6 @@ import pytest
 from slam_gym.world.floor_plan import FloorPlanError
 from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
-from slam_gym.world.raster import from_raster
 from tests.world.test_floor_plan import square
 
 PIXEL = 0.05  # [m]
@@ -110,6 +109,8 @@ def test_missing_files_and_unknown_suffixes(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["npy", "npy.gz", "png", "pgm", "yaml"])
 def test_every_format_gives_the_same_plan(suffix, tmp_path, cv2):
+    from slam_gym.world.raster import from_raster
+
     image, path = blank(), tmp_path / f"map.{suffix}"
     if suffix == "npy":
         np.save(path, image)
