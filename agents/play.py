@@ -95,7 +95,7 @@ class Screen:
     def __init__(self, fps: float) -> None:
         from slam_gym.rendering.canvas import Window  # extra `render`
 
-        self.window = Window("slam_gym", fps, resizable=True)
+        self.window = Window("slam_gym", fps)
 
     def show(self, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
         """Show a picture (h, w, 3); the last line is pale."""

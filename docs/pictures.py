@@ -29,7 +29,7 @@ from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import compose, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pixels
+from slam_gym.rendering.canvas import Canvas, fitting, pixels
 from slam_gym.rendering.plot import plot_episode, plot_scan
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode
 from slam_gym.scenarios import SCENARIOS
@@ -90,10 +90,9 @@ def scenario(name: str) -> Any:
     arguments = {"relocation": "gcbb"} if name == "kidnapped" else {}
     env = driven(name, SCENARIOS[name].budget, world=1, **arguments)
     episode = env.unwrapped.episode
-    all_of_it, (x0, y0, x1, y1) = scene_of_episode(episode), episode.site.plan.bounds
-    scale = min(SMALL[0] / (x1 - x0 + 1.0), SMALL[1] / (y1 - y0 + 1.0))
-    low = 0.5 * (x0 + x1) - 0.5 * SMALL[0] / scale, 0.5 * (y0 + y1) - 0.5 * SMALL[1] / scale
-    canvas = Canvas(SMALL, low, scale, symbols.UNKNOWN_CELL)
+    all_of_it = scene_of_episode(episode)
+    view = fitting(episode.site.plan.bounds, (0, 0, *SMALL), margin=0.5)
+    canvas = Canvas(SMALL, *view, symbols.UNKNOWN_CELL)
     shown = ("walls", "furniture", "people", "true_pose", "true_trail", "trail", "grid")
     draw_scene(canvas, Scene(**{name: getattr(all_of_it, name) for name in shown}))
     save(f"small_{name}", pixels(canvas.picture()), 32)

@@ -11,14 +11,14 @@ from slam_gym.association.tracking.walk import Walk
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas
+from slam_gym.rendering.canvas import Canvas, fitting
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, mark_size, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.judged import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
-_MARGIN = 60  # [pixels] around the robot and its measurements
+_ROOM = (60, 60, MAP[0] - 120, MAP[1] - 120)  # [pixels] left, bottom, width, height of robot and measurements
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
 _COLUMNS = (0, 62, 130, 240)  # [pixels] of the table
 _KEY = (
@@ -35,8 +35,11 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
     picture = picture_with(_panel(run, walk, answers, figures))
     base, scene = _scene(run)
     pose = compose(base, run.slam.map.pose)
-    low, scale = _extent(np.vstack([pose[:2], transform(pose, run.scan.points)]))
-    canvas = Canvas(MAP, low, scale, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
+    points = np.vstack([pose[:2], transform(pose, run.scan.points)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.5 * np.maximum(_MIN_EXTENT - (high - low), 0.0)
+    view = fitting(np.concatenate([low - margin, high + margin]), _ROOM)
+    canvas = Canvas(MAP, *view, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
     draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
     centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
     picture.blit(canvas.picture(), (0, 0))
@@ -49,15 +52,6 @@ def _scene(run: AssociationRun) -> tuple[Array, Scene]:
     if isinstance(run, DrivenRun):
         return run.base, scene_of_episode(run)
     return np.zeros(3), scene_of_log(run)
-
-
-def _extent(points: Array) -> tuple[tuple[float, float], float]:
-    """Lower left corner [m] and scale [pixels/m] of a map that contains `points` (k, 2) [m]."""
-    room = np.array(MAP) - 2 * _MARGIN
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    scale = float((room / np.maximum(np.ptp(points, axis=0), _MIN_EXTENT)).min())
-    corner = middle - 0.5 * np.array(MAP) / scale
-    return (float(corner[0]), float(corner[1])), scale
 
 
 def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:

@@ -24,7 +24,7 @@ try:
 except ImportError as error:
     raise ImportError('drawing needs pygame-ce: pip install "slam_gym[render]"') from error
 
-__all__ = ["TEXT", "Canvas", "Colour", "Window", "pixels", "pygame", "text"]
+__all__ = ["TEXT", "Canvas", "Colour", "Window", "fitting", "pixels", "pygame", "text"]
 
 Colour = tuple[int, int, int]
 
@@ -35,6 +35,14 @@ _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0,
 _FREE_SHARE = np.array([0.0, 1.0, 0.5])  # of unknown, free and wall cells: free space ends in the middle of walls
 _SMOOTHING = 0.7  # [cells] standard deviation of the filter of free space
 _SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
+
+
+def fitting(bounds: Array, room: tuple[int, int, int, int], margin: float = 0.0) -> tuple[tuple[float, float], float]:
+    """Lower left corner [m] and scale [pixels/m] of a canvas that shows `bounds` (4,) [m] xmin ymin xmax ymax with a
+    `margin` [m] as large as possible in the middle of `room`: left, bottom, width, height [pixels]."""
+    (x0, y0, x1, y1), (left, bottom, width, height) = bounds.tolist(), room
+    scale = min(width / max(x1 - x0 + 2.0 * margin, 1e-3), height / max(y1 - y0 + 2.0 * margin, 1e-3))
+    return (0.5 * (x0 + x1) - (left + 0.5 * width) / scale, 0.5 * (y0 + y1) - (bottom + 0.5 * height) / scale), scale
 
 
 class Canvas:
@@ -175,13 +183,10 @@ def pixels(picture: Any) -> NDArray[np.uint8]:
 
 
 class Window:
-    """A window that shows pictures in succession, at most `fps` per second.
+    """A window that shows pictures in succession, at most `fps` per second, scaled to the size of the window."""
 
-    Users can change the size of a `resizable` window; pictures are scaled to it.
-    """
-
-    def __init__(self, title: str, fps: float, resizable: bool = False) -> None:
-        self.title, self.fps, self.resizable = title, fps, resizable
+    def __init__(self, title: str, fps: float) -> None:
+        self.title, self.fps = title, fps
         self._window: Any = None
         self._clock: Any = None
 
@@ -189,12 +194,11 @@ class Window:
         """Show a surface. The first call opens the window in the size of its surface."""
         if self._window is None:
             pygame.display.init()
-            self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE if self.resizable else 0)
+            self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE)
             pygame.display.set_caption(self.title)
             self._clock = pygame.time.Clock()
         size = self._window.get_size()
-        fitting = picture if not self.resizable or size == picture.get_size() else _fitted(picture, size)
-        self._window.blit(fitting, (0, 0))
+        self._window.blit(picture if size == picture.get_size() else _fitted(picture, size), (0, 0))
         pygame.event.pump()
         pygame.display.flip()
         self._clock.tick(self.fps)

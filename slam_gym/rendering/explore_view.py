@@ -10,7 +10,7 @@ import numpy as np
 
 from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
 from slam_gym.rendering.panels import Box, Figures, figures
 from slam_gym.rendering.scene import Scene, draw_scene, legend, paired_positions, scene_of_episode, shown_in
 from slam_gym.simulation.episode import Episode
@@ -18,6 +18,7 @@ from slam_gym.types import Array
 
 SIZE = (960, 720)  # [pixels]
 _MARGIN = 16  # [pixels] around the plan, and within the panel
+_SCALE_BAR = 14  # [pixels] height of the scale bar below the plan
 _BESIDE = 246  # [pixels] width of a panel beside the map
 _TITLE, _ROW = 52, 22  # [pixels] height of the title with what is around it, and of a row of figures
 
@@ -68,20 +69,11 @@ def arrange(bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -
     below = max(_TITLE + math.ceil(rows / 2) * _ROW, side_by_side.get_height() + 2 * _MARGIN)
     right = (width - _BESIDE, 0, _BESIDE, height), True, legend(shown, True)
     bottom = (0, height - below, width, below), False, side_by_side
-    layouts = [
-        Layout(*_fit(area, bounds), *panel)
-        for area, panel in (((width - _BESIDE, height), right), ((width, height - below), bottom))
-    ]
+    layouts = []
+    for (w, h), panel in (((width - _BESIDE, height), right), ((width, height - below), bottom)):
+        room = _MARGIN, _MARGIN + _SCALE_BAR, w - 2 * _MARGIN, h - 2 * _MARGIN - _SCALE_BAR
+        layouts.append(Layout((w, h), *fitting(bounds, room), *panel))
     return max(layouts, key=lambda layout: layout.scale)
-
-
-def _fit(area: tuple[int, int], bounds: Array) -> tuple[tuple[int, int], tuple[float, float], float]:
-    """The area [pixels], and the lower left corner [m] and the scale [pixels/m] of a map that fits into it."""
-    x0, y0, x1, y1 = (float(b) for b in bounds)
-    room = area[0] - 2 * _MARGIN, area[1] - 2 * _MARGIN - 14  # the scale bar stands below the plan
-    scale = min(room[0] / max(x1 - x0, 1e-3), room[1] / max(y1 - y0, 1e-3))
-    low = 0.5 * (x0 + x1) - 0.5 * area[0] / scale, 0.5 * (y0 + y1) - (0.5 * area[1] + 7) / scale
-    return area, low, scale
 
 
 def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:

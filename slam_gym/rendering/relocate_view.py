@@ -11,7 +11,7 @@ from slam_gym.association.relocation.walk import RelocationWalk
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
+from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
 from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
@@ -45,11 +45,8 @@ def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figure
 
 
 def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> None:
-    x0, y0, x1, y1 = mapped.site.plan.bounds + _MARGIN * np.array([-1.0, -1.0, 1.0, 1.0])
-    room = MAP[0], MAP[1] - _INSET - _HEADING
-    scale = float(min(room[0] / (x1 - x0), room[1] / (y1 - y0)))
-    low = 0.5 * (x0 + x1) - 0.5 * MAP[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
-    canvas = Canvas(MAP, (float(low[0]), float(low[1])), scale, symbols.PAPER)
+    view = fitting(mapped.site.plan.bounds, (0, _INSET, MAP[0], MAP[1] - _INSET - _HEADING), _MARGIN)
+    canvas = Canvas(MAP, *view, symbols.PAPER)
     landmarks = transform(mapped.base, mapped.landmarks.positions)
     provisional = np.zeros(len(landmarks), np.bool_)
     canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)
