@@ -140,9 +140,10 @@ class Episode:
         self._sense(motion)
 
     def _sense(self, motion: Motion) -> None:
-        world, rng = self.world, self.rng
-        senses = self.sensor.sense(motion, world.pose, rng, world.people, world.furniture_segments)
-        self.odometry, self.scan, self.truth, self.beams = senses
+        world, sensor, rng = self.world, self.sensor, self.rng
+        self.odometry = sensor.odometry(motion, rng)
+        self.scan, self.truth = sensor.scan(world.pose, rng, world.people, world.furniture_segments)
+        self.beams = sensor.beams(world.pose, rng, world.people, world.furniture_segments)
         if self._compass is not None:
             self.odometry = self._compass.corrected(self.odometry, self.beams)
 

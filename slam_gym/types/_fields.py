@@ -6,6 +6,7 @@ Lists and numbers become fresh arrays of a known shape, or a clear error.
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from dataclasses import MISSING, Field, fields
 from typing import Any, TypeVar
 
@@ -101,6 +102,14 @@ def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
     if array.shape != (m,) or not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"kinds: {array.dtype} of shape {array.shape}, expected ({m},) integers")
     return array.astype(np.int64)
+
+
+def compiled_form(name: str, record: Any, *further: str) -> Any:
+    """A named tuple with the fields of a dataclass, after `further` ones, as which compiled functions read its values.
+
+    `name` must be that of the variable in the dataclass's module to which it is assigned.
+    """
+    return namedtuple(name, [*further, *(field.name for field in fields(record))], module=record.__module__)
 
 
 def quick(cls: type[T]) -> type[T]:

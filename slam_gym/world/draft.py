@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym.types import Array, BoolArray
+from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import Door, Features, FloorPlan, Kind, Room
 
 MAX_CORNER_SIZE = 4.0  # [m] a longer wall at a corner counts as this long
@@ -191,19 +191,15 @@ def _covered(rectangles: Array, xs: Array, ys: Array) -> BoolArray:
     return cells
 
 
-def _runs(edges: BoolArray, corners: BoolArray, coordinates: Array) -> Array:
-    """Maximal runs of wall along the grid lines, cut at corners: (s, 3) index of the line, start [m], end [m].
+def _runs(edges: BoolArray, corners: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Maximal runs of wall along the grid lines, cut at corners: the line, first and last grid point of each, (s,).
 
     `edges` (lines, cells) says where a line separates free from blocked, `corners` (lines, cells + 1) where it turns.
-    `coordinates` (cells + 1,) [m] are the positions along the lines.
     """
-    runs = []
-    for line, (edge, corner) in enumerate(zip(edges, corners)):
-        joined = np.concatenate([[False], edge, [False]])
-        starts = joined[1:] & (~joined[:-1] | corner)
-        ends = joined[:-1] & (~joined[1:] | corner)
-        runs += [(line, coordinates[i], coordinates[j]) for i, j in zip(np.flatnonzero(starts), np.flatnonzero(ends))]
-    return np.array(runs, dtype=np.float64).reshape(-1, 3)
+    joined = np.pad(edges, ((0, 0), (1, 1)))
+    lines, first = np.nonzero(joined[:, 1:] & (~joined[:, :-1] | corners))
+    _, last = np.nonzero(joined[:, :-1] & (~joined[:, 1:] | corners))
+    return lines, first, last
 
 
 def outline(free: Array, blocked: Array) -> tuple[Array, Array, Array]:
@@ -219,15 +215,10 @@ def outline(free: Array, blocked: Array) -> tuple[Array, Array, Array]:
     around = np.stack([cells[:-1, :-1], cells[:-1, 1:], cells[1:, 1:], cells[1:, :-1]]).astype(np.int64)
     count = around.sum(axis=0)
     corner = (count % 2 == 1) | ((count == 2) & (around[0] == around[2]))
-    level = _runs((cells[:-1] != cells[1:])[:, 1:-1], corner, xs)
-    upright = _runs((cells[:, :-1] != cells[:, 1:])[1:-1].T, corner.T, ys)
-    rows, columns = level[:, 0].astype(int), upright[:, 0].astype(int)
-    walls = np.vstack(
-        [
-            np.stack([level[:, 1], ys[rows], level[:, 2], ys[rows]], axis=1),
-            np.stack([xs[columns], upright[:, 1], xs[columns], upright[:, 2]], axis=1),
-        ]
-    )
+    rows, left, right = _runs((cells[:-1] != cells[1:])[:, 1:-1], corner)
+    columns, low, high = _runs((cells[:, :-1] != cells[:, 1:])[1:-1].T, corner.T)
+    level = np.stack([xs[left], ys[rows], xs[right], ys[rows]], axis=1)
+    walls = np.vstack([level, np.stack([xs[columns], ys[low], xs[columns], ys[high]], axis=1)])
     i, j = np.nonzero(corner)
     corners = np.stack([xs[j], ys[i]], axis=1)
     lengths = np.abs(walls[:, 2:] - walls[:, :2]).sum(axis=1)

@@ -9,13 +9,14 @@ again when it leaves its box in the tree, which is larger than the body. The rob
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
+from slam_gym.types._fields import compiled_form
+from slam_gym.validation import check_settings
 from slam_gym.world.ray_casting import Grid, Packed, box_distance, squared_distance
 
 X, Y, HEADING, VX, VY, TURNING, WHEEL_SPEED, WHEEL_TURNING, ENTRY, BOX = *range(9), 12
@@ -30,29 +31,30 @@ GRAVITY = 9.81  # [m/s²]
 _NEAR = 1e-3  # [m] bodies closer than this may touch, so pymunk integrates the tick
 
 
-class DriveParameters(NamedTuple):
-    """The settings on which the motion depends."""
+@dataclass(frozen=True)
+class RobotSpec:
+    """A disc on two driven wheels."""
 
-    step: float  # [s] of a substep
-    substeps: int  # in a tick
-    radius: float  # [m]
-    mass: float  # [kg]
-    moment: float  # [kg m²]
-    max_speed: float  # [m/s]
-    max_turn: float  # [rad/s]
-    max_acceleration: float  # [m/s²] of the wheels
-    max_angular_acceleration: float  # [rad/s²]
-    traction: float  # the wheels push with at most traction · mass · g
+    radius: float = 0.2  # [m]
+    mass: float = 10.0  # [kg]
+    max_speed: float = 1.0  # [m/s]
+    max_turn: float = 2.0  # [rad/s]
+    max_acceleration: float = 3.0  # [m/s²] of the wheels
+    max_angular_acceleration: float = 10.0  # [rad/s²]
+    traction: float = 0.6  # the wheels push with at most traction · mass · g
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
-PackedDriveParameters = tuple[float, int, float, float, float, float, float, float, float, float]
-"""`DriveParameters` as a plain tuple."""
+_Parameters = compiled_form("_Parameters", RobotSpec, "step", "substeps", "moment")
+Parameters = tuple[float, ...]
+"""Seconds of a substep, substeps in a tick, moment of inertia [kg m²], and the values of a `RobotSpec`: a plain tuple,
+which crosses from Python to compiled functions faster."""
 
 
 @compiled
-def push(
-    packed: PackedDriveParameters, forward: float, turn: float, state: Array, wheels: Array
-) -> tuple[float, float, float]:
+def push(packed: Parameters, forward: float, turn: float, state: Array, wheels: Array) -> tuple[float, float, float]:
     """Force (x, y) [N] in W and torque [N m] that push the robot towards the wheels' next speeds, limited by traction.
 
     `forward` and `turn` are the commanded fractions in [−1, 1] of the full speeds. The push takes effect at the end of
@@ -60,7 +62,7 @@ def push(
     wheels' speeds in `state` to the speeds that the push would give the robot if nothing pushed back, and advances
     `wheels` (3,), the pose by wheel odometry in R at the tick's start, by this substep.
     """
-    parameters = DriveParameters(*packed)
+    parameters = _Parameters(*packed)
     step = parameters.step
     distance, angle = state[WHEEL_SPEED] * step, state[WHEEL_TURNING] * step
     wheels[0] += distance * math.cos(wheels[2] + 0.5 * angle)
@@ -89,22 +91,18 @@ def push(
 def drive_freely(
     walls: Packed,
     furniture: Array,
-    packed: PackedDriveParameters,
+    packed: Parameters,
     forward: float,
     turn: float,
     state: Array,
-    motion: Array,
+    wheels: Array,
 ) -> bool:
-    """Drive for one tick among resting `furniture` (f, 5); False, and nothing done, if the robot comes near anything.
-
-    `motion` (3, 3) enters with the pose before the tick in its first row. It leaves with the pose after the tick,
-    heading wrapped; the motion in R at the tick's start; and that motion by wheel odometry.
-    """
-    parameters, grid, after = DriveParameters(*packed), Grid(*walls), state.copy()
+    """Drive for one tick among resting `furniture` (f, 5); False, and `state` unchanged, if the robot comes near
+    anything. `wheels` (3,) becomes the motion in R at the tick's start, by wheel odometry."""
+    parameters, grid, after = _Parameters(*packed), Grid(*walls), state.copy()
     step, reach = parameters.step, parameters.radius + _NEAR
-    wheels = motion[2]
     wheels[:] = 0.0
-    for _ in range(parameters.substeps):
+    for _ in range(int(parameters.substeps)):
         x, y, torque = push(packed, forward, turn, after, wheels)
         after[X] += after[VX] * step
         after[Y] += after[VY] * step
@@ -116,7 +114,6 @@ def drive_freely(
         after[VY] += y * (1.0 / parameters.mass) * step
         after[TURNING] += torque * (1.0 / parameters.moment) * step
     state[:] = after
-    end_of_tick(state, motion)
     return True
 
 
@@ -132,14 +129,6 @@ def update_tree_entry(state: Array, radius: float) -> None:
         state[ENTRY + axis], state[ENTRY + 2 + axis] = centre, state[VX + axis]
         box[axis] = centre - radius + min(-margin[axis], ahead)
         box[2 + axis] = centre + radius + max(margin[axis], ahead)
-
-
-@compiled
-def end_of_tick(state: Array, motion: Array) -> None:
-    """Replace the pose in row 0 of `motion` (3, 3) by the pose of `state`; row 1 receives the motion between them."""
-    before = motion[0].copy()
-    motion[0, 0], motion[0, 1], motion[0, 2] = state[X], state[Y], wrap_angle(state[HEADING])
-    motion[1] = relative(before, motion[0])
 
 
 @compiled

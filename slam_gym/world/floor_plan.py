@@ -165,10 +165,9 @@ class FloorPlan:
         for field, points in (("features.positions", self.features.positions), ("furniture", furniture[:, :2])):
             _refuse(field, ((points < low) | (points > high)).any(axis=1), "lies outside of all walls")
         names = [room.name for room in self.rooms]
-        first = {name: i for i, name in reversed(list(enumerate(names)))}
-        _refuse("rooms", np.array([first[name] < i for i, name in enumerate(names)], bool), "repeats a name")
+        _refuse("rooms", [name in names[:i] for i, name in enumerate(names)], "repeats a name")
         for i, door in enumerate(self.doors):
-            if not first.keys() >= set(door.rooms):
+            if not set(names) >= set(door.rooms):
                 raise FloorPlanError(f"doors[{i}].rooms", f"{door.rooms!r} names an unknown room")
 
     @cached_property

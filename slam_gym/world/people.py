@@ -7,13 +7,14 @@ person never walks into the robot, another person or furniture; a person who has
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Grid, Movers, Packed, box_distance, outlines, sees, wall_grid
+from slam_gym.world.ray_casting import Grid, Movers, Packed, WallIndex, box_distance, outlines, sees
 from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
@@ -49,8 +50,9 @@ class People:
         self._ahead = np.ones((count, 2), np.int64)  # next waypoint and number of waypoints
         self._timers = np.zeros((count, 2))  # [s] rest that is left, time waited
         if count:
-            self._walls, self._outlines = wall_grid(plan.walls), outlines(plan.furniture)
-            self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=self._outlines)
+            obstructed = replace(plan, walls=np.vstack([plan.walls, outlines(plan.furniture)]))
+            self._walls = WallIndex(obstructed.walls).packed
+            self._cells = free_cells(obstructed, radius + _CLEARANCE)
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
@@ -66,7 +68,7 @@ class People:
 
     def _places(self, plan: FloorPlan, count: int, radius: float, robot: Array, rng: np.random.Generator) -> Array:
         """The first positions of people: discs (count, 3)."""
-        centres = self._cells.centres(indoor(plan, self._cells))
+        centres = indoor(plan, self._cells)
         centres = centres[np.hypot(*(centres - robot).T) >= _START_DISTANCE]
         discs = np.empty((0, 3))
         for x, y in centres[rng.permutation(len(centres))]:
@@ -81,7 +83,7 @@ class People:
         last = self._passed[person]  # a person who turns back passes it again
         path = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, choice)
         radius = self.discs[person, 2]
-        self._ahead[person] = 0, _straighten(self._walls, self._outlines, path, radius, self._paths[person])
+        self._ahead[person] = 0, _straighten(self._walls, path, radius, self._paths[person])
         self._timers[person] = _PAUSE * rest, 0.0
 
 
@@ -167,14 +169,14 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, choice: f
 
 
 @compiled
-def _straighten(packed: Packed, outlines: Array, path: Array, radius: float, waypoints: Array) -> int:
+def _straighten(packed: Packed, path: Array, radius: float, waypoints: Array) -> int:
     """Write to `waypoints` points of `path` (q, 2) between which a disc can move straight; returns their number."""
     grid, x, y = Grid(*packed), path[0, 0], path[0, 1]
     waypoints[0, 0], waypoints[0, 1] = x, y
     count, here = 1, 0
     while here < len(path) - 1 and count < len(waypoints):
         there = here + 1
-        while there < len(path) - 1 and _passable(grid, outlines, x, y, path[there + 1, 0], path[there + 1, 1], radius):
+        while there < len(path) - 1 and _passable(grid, x, y, path[there + 1, 0], path[there + 1, 1], radius):
             there += 1
         x, y, here = path[there, 0], path[there, 1], there
         waypoints[count, 0], waypoints[count, 1] = x, y
@@ -183,10 +185,10 @@ def _straighten(packed: Packed, outlines: Array, path: Array, radius: float, way
 
 
 @compiled
-def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
+def _passable(grid: Grid, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
     """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free."""
     dx, dy = x2 - x1, y2 - y1
-    length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), outlines)
+    length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), np.empty((0, 4)))
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
         if not sees(grid, movers, x, y, dx, dy, 0.0):

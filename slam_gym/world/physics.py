@@ -8,20 +8,21 @@ plan, start, generator state and actions give the same trajectory, bit for bit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
 import pymunk
 
-from slam_gym.geometry import wrap_angle
+from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
 from slam_gym.types._fields import quick
 from slam_gym.validation import check_settings
 from slam_gym.world import driving
+from slam_gym.world.driving import RobotSpec
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
-from slam_gym.world.ray_casting import NO_DISCS, outlines, wall_grid
+from slam_gym.world.ray_casting import NO_DISCS, WallIndex, outlines
 
 _OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any further overlap that is left after a substep
@@ -29,22 +30,6 @@ _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its poin
 _SETTLED = 3  # ticks after the last touch in which pymunk still remembers it
 _FAR_AWAY = (1e6, 1e6, 0.0, 0.0)  # [m] x, y, [m/s] velocities
 _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
-
-
-@dataclass(frozen=True)
-class RobotSpec:
-    """A disc on two driven wheels."""
-
-    radius: float = 0.2  # [m]
-    mass: float = 10.0  # [kg]
-    max_speed: float = 1.0  # [m/s]
-    max_turn: float = 2.0  # [rad/s]
-    max_acceleration: float = 3.0  # [m/s²] of the wheels
-    max_angular_acceleration: float = 10.0  # [rad/s²]
-    traction: float = 0.6  # the wheels push with at most traction · mass · g
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -103,15 +88,16 @@ class World:
         self._contacts = _Contacts()
         self._space = _empty_space(self._step, self._contacts)
         self._add_walls(plan.walls)
-        self._walls = wall_grid(plan.walls)
+        self._walls = WallIndex(plan.walls).packed
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
         self.furniture_segments = outlines(self.furniture)  # (4f, 4) [m] W its sides
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
-        self.pose = np.array([start[0], start[1], wrap_angle(start[2])])  # (3,) [m, m, rad] W
-        self._drive_parameters = _drive_parameters(robot, self._step, dynamics.substeps, self._body.moment)
+        parameters = (self._step, dynamics.substeps, self._body.moment, *astuple(robot))
+        self._drive_parameters = tuple(map(float, parameters))
         self._state = np.zeros(driving.ENTRIES)  # of the robot; its body follows only when it may touch something
         self._state[: driving.VX] = start
+        self._update_pose()
         driving.update_tree_entry(self._state, robot.radius)
         self._body_is_current, self._ticks_without_contact = True, _SETTLED
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
@@ -137,23 +123,26 @@ class World:
             if math.isnan(forward) or math.isnan(turn):
                 raise ValueError(f"action ({forward}, {turn}) is not a number")
             forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
-        motion = np.empty((3, 3))
-        motion[0] = self.pose
-        if not self._drive_freely(forward, turn, motion):
-            self._drive_among_others(forward, turn, motion)
-        self.pose = motion[0]
-        return Motion(motion[1], motion[2], self._contacts.robot_in_tick)
+        before, wheels = self.pose, np.empty(3)
+        if not self._drive_freely(forward, turn, wheels):
+            self._drive_among_others(forward, turn, wheels)
+        self._update_pose()
+        return Motion(relative(before, self.pose), wheels, self._contacts.robot_in_tick)
 
-    def _drive_freely(self, forward: float, turn: float, motion: Array) -> bool:
+    def _update_pose(self) -> None:
+        x, y, heading = self._state[: driving.VX].tolist()
+        self.pose = np.array([x, y, wrap_angle(heading)])  # (3,) [m, m, rad] W
+
+    def _drive_freely(self, forward: float, turn: float, wheels: Array) -> bool:
         """One tick without pymunk; False, and nothing done, if the robot may touch something or anything else moves."""
         if self._ticks_without_contact < _SETTLED or self._walkers or self._contacts.furniture:
             return False
         parameters, furniture = self._drive_parameters, self.furniture
-        free = driving.drive_freely(self._walls, furniture, parameters, forward, turn, self._state, motion)
+        free = driving.drive_freely(self._walls, furniture, parameters, forward, turn, self._state, wheels)
         self._contacts.robot_in_tick, self._body_is_current = False, self._body_is_current and not free
         return free
 
-    def _drive_among_others(self, forward: float, turn: float, motion: Array) -> None:
+    def _drive_among_others(self, forward: float, turn: float, wheels: Array) -> None:
         """One tick by pymunk, with contacts."""
         self._contacts.robot_in_tick = self._contacts.robot > 0
         self._people.walk(self.dynamics.tick, self.pose[:2], self.furniture, self._rng)
@@ -161,9 +150,9 @@ class World:
             walker.velocity = (vx, vy)
         if not self._body_is_current:
             self._move_body()
-        state, body, motion[2] = self._state, self._body, 0.0
+        state, body, wheels[:] = self._state, self._body, 0.0
         for _ in range(self.dynamics.substeps):
-            x, y, torque = driving.push(self._drive_parameters, forward, turn, state, motion[2])
+            x, y, torque = driving.push(self._drive_parameters, forward, turn, state, wheels)
             body.force, body.torque = (x, y), torque
             self._space.step(self._step)
             state[: driving.VX] = *body.position, body.angle
@@ -172,7 +161,6 @@ class World:
         if self._contacts.furniture:
             self._follow_furniture()
         self._ticks_without_contact = 0 if self._contacts.robot_in_tick else self._ticks_without_contact + 1
-        driving.end_of_tick(state, motion)
 
     def _move_body(self) -> None:
         """Move the body in pymunk to the robot's present state."""
@@ -191,7 +179,7 @@ class World:
         self._state[: driving.ENTRY] = *pose.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0
         driving.update_tree_entry(self._state, self.robot.radius)
         self._move_body()
-        self.pose = np.array([pose[0], pose[1], wrap_angle(pose[2])])
+        self._update_pose()
 
     def _follow_furniture(self) -> None:
         """Read the furniture's poses from pymunk, until all of it sleeps. Arrays returned earlier stay unchanged."""
@@ -246,12 +234,6 @@ class World:
         shape.filter = pymunk.ShapeFilter(categories=kind, mask=collides_with)
         self._space.add(body, shape)
         return body
-
-
-def _drive_parameters(robot: RobotSpec, step: float, substeps: int, moment: float) -> driving.PackedDriveParameters:
-    limits = robot.max_speed, robot.max_turn, robot.max_acceleration, robot.max_angular_acceleration
-    reals = (robot.radius, robot.mass, moment, *limits, robot.traction)
-    return (float(step), int(substeps), *map(float, reals))  # type: ignore[return-value]
 
 
 def _empty_space(step: float, contacts: _Contacts) -> pymunk.Space:

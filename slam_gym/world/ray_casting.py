@@ -60,11 +60,23 @@ class WallIndex:
     finite or has another shape, or `cell` is not positive.
     """
 
-    def __init__(self, walls: Array, cell: float = 1.0) -> None:
-        self.packed = wall_grid(walls, cell)
+    packed: Packed  # of the `Grid`
 
-    def __len__(self) -> int:
-        return len(self.packed[0])
+    def __init__(self, walls: Array, cell: float = 1.0) -> None:
+        walls = np.array(walls, dtype=np.float64, order="C")
+        if walls.ndim != 2 or walls.shape[1] != 4:
+            raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
+        if not np.isfinite(walls).all():
+            raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
+        if not (math.isfinite(cell) and cell > 0.0):
+            raise ValueError(f"cell must be a positive length [m], not {cell}")
+        ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
+        low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
+        while np.prod(extent // cell + 1.0) > _MAX_CELLS:
+            cell *= 2.0
+        columns, rows = (extent // cell).astype(int) + 1
+        starts, members = _enter_walls(walls, low, cell, columns, rows)
+        self.packed = walls, starts, members, float(low[0]), float(low[1]), float(cell), int(columns), int(rows)
 
     def cast(
         self, origin: Array, angles: Array, max_range: float, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
@@ -96,27 +108,6 @@ def _movers(discs: Array, segments: Array) -> tuple[Array, Array]:
 def pull_back(features: Features) -> Array:
     """(N,) [m] how far before each feature a line of sight to it ends: at the outline of a pillar, or at the corner."""
     return np.where(features.kinds == Kind.PILLAR, 0.5 * features.sizes, 0.0) + _SURFACE
-
-
-def wall_grid(walls: Array, cell: float = 1.0) -> Packed:
-    """The grid of `walls` (s, 4) [m]; `cell` [m] is the side of its cells, doubled until a million of them suffice.
-
-    Raises ValueError where `walls` is not finite or has another shape, or `cell` is not positive.
-    """
-    walls = np.array(walls, dtype=np.float64, order="C")
-    if walls.ndim != 2 or walls.shape[1] != 4:
-        raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
-    if not np.isfinite(walls).all():
-        raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
-    if not (math.isfinite(cell) and cell > 0.0):
-        raise ValueError(f"cell must be a positive length [m], not {cell}")
-    ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
-    low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
-    while np.prod(extent // cell + 1.0) > _MAX_CELLS:
-        cell *= 2.0
-    columns, rows = (extent // cell).astype(int) + 1
-    starts, members = _enter_walls(walls, low, cell, columns, rows)
-    return walls, starts, members, float(low[0]), float(low[1]), float(cell), int(columns), int(rows)
 
 
 def _enter_walls(walls: Array, low: Array, cell: float, columns: int, rows: int) -> tuple[IntArray, IntArray]:
@@ -263,23 +254,6 @@ def squared_distance(x: float, y: float, segments: Array, s: int) -> float:
 
 
 @compiled
-def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
-    """The movers within `reach` [m] of (x, y)."""
-    discs, segments = np.empty(movers.discs.shape), np.empty(movers.segments.shape)
-    d = s = 0
-    for disc in movers.discs:
-        if math.hypot(disc[0] - x, disc[1] - y) <= reach + disc[2]:
-            discs[d, 0], discs[d, 1], discs[d, 2] = disc[0], disc[1], disc[2]
-            d += 1
-    for k in range(len(movers.segments)):
-        if squared_distance(x, y, movers.segments, k) <= reach * reach:
-            for end in range(4):
-                segments[s, end] = movers.segments[k, end]
-            s += 1
-    return Movers(discs[:d], segments[:s])
-
-
-@compiled
 def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
     """Whether nothing stands between (x, y) and the point `pull_back` [m] short of (x, y) + (dx, dy)."""
     distance = math.hypot(dx, dy)
@@ -291,8 +265,7 @@ def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, p
 @compiled
 def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving: tuple[Array, Array]) -> Array:
     """See `WallIndex.cast`; `moving` are the arrays of `Movers`."""
-    grid, x, y = Grid(*packed), origin[0], origin[1]
-    movers = movers_near(x, y, max_range, Movers(*moving))
+    grid, movers, x, y = Grid(*packed), Movers(*moving), origin[0], origin[1]
     ranges = np.empty(angles.shape[0])
     for b in range(angles.shape[0]):
         dx, dy = max_range * math.cos(angles[b]), max_range * math.sin(angles[b])

@@ -29,8 +29,8 @@ class FreeCells:
         return self.origin + self.cell * np.column_stack([columns, rows])
 
 
-def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Array = NO_SEGMENTS) -> FreeCells:
-    """Cells with no wall of `plan`, and none of `obstacles` (o, 4) [m], within `radius` [m] of their centres.
+def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25) -> FreeCells:
+    """Cells with no wall of `plan` within `radius` [m] of their centres.
 
     The side `cell` [m] is reduced where a wall could otherwise lie between two free centres, so that a disc of this
     radius can move straight between any two free cells that share a side. Raises ValueError unless both lengths are
@@ -41,9 +41,15 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Ar
     cell = min(cell, 1.9 * radius)
     origin = plan.bounds[:2] - 1.5 * cell
     columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
-    free = np.ones((int(rows), int(columns)), np.bool_)
-    for segments in (plan.walls, obstacles):
-        _block(free, origin, cell, segments, radius)
+    free = np.ones((rows, columns), np.bool_)
+    left, bottom = origin.tolist()
+    xs, ys = left + np.arange(columns) * cell, bottom + np.arange(rows) * cell
+    for x1, y1, x2, y2 in plan.walls.tolist():
+        near_rows = _between(min(y1, y2) - radius - bottom, max(y1, y2) + radius - bottom, cell)
+        near_columns = _between(min(x1, x2) - radius - left, max(x1, x2) + radius - left, cell)
+        dx, dy, ex, ey = xs[near_columns] - x1, ys[near_rows, None] - y1, x2 - x1, y2 - y1
+        t = np.clip((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0, 1.0)
+        free[near_rows, near_columns] &= (dx - t * ex) ** 2 + (dy - t * ey) ** 2 >= radius * radius
     return FreeCells(free, origin, cell)
 
 
@@ -55,12 +61,11 @@ def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
     counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free. Raises
     ValueError unless both lengths [m] are positive.
     """
-    cells = free_cells(plan, radius, cell)
-    return cells.centres(indoor(plan, cells))
+    return indoor(plan, free_cells(plan, radius, cell))
 
 
-def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
-    """(c,) flat indices of the free cells of the largest connected part, as `reachable` defines it."""
+def indoor(plan: FloorPlan, cells: FreeCells) -> Array:
+    """(c, 2) [m] W: centres of the free cells of the largest connected part, as `reachable` defines it."""
     parts = ndimage.label(cells.free)[0].ravel()  # 0 where not free
     flat = np.flatnonzero(parts)
     labels, centres = parts[flat], cells.centres(flat)
@@ -70,8 +75,8 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
     if not plan.rooms:
         indoors = labels != parts[0]  # the ground around the plan reaches its outermost cells
     if not indoors.any():
-        return np.empty(0, np.int64)
-    largest: IntArray = flat[labels == np.argmax(np.bincount(labels[indoors]))]
+        return np.empty((0, 2))
+    largest: Array = centres[labels == np.argmax(np.bincount(labels[indoors]))]
     return largest
 
 
@@ -85,8 +90,8 @@ def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float
     return seen_from(index.packed, cells, features.positions, pull_back(features), max_range, nothing)
 
 
-def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearance: float = _START_CLEARANCE) -> Array:
-    """A random pose (3,) in W: one of `cells` (c, 2) [m] at least `clearance` [m] from all furniture, any heading.
+def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator) -> Array:
+    """A random pose (3,) in W: one of `cells` (c, 2) [m] at least 0.3 m from all furniture, any heading.
 
     Raises ValueError where there is no such cell.
     """
@@ -94,21 +99,9 @@ def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearanc
         raise ValueError(f"floor plan {plan.name!r} has no free space for the robot to start in")
     for i in rng.permutation(len(cells)):
         x, y = cells[i]
-        if box_distance(x, y, plan.furniture) >= clearance:
+        if box_distance(x, y, plan.furniture) >= _START_CLEARANCE:
             return np.array([x, y, rng.uniform(-math.pi, math.pi)])
-    raise ValueError(f"floor plan {plan.name!r}: furniture stands within {clearance} m of every free place")
-
-
-def _block(free: BoolArray, origin: Array, cell: float, segments: Array, radius: float) -> None:
-    """Set `free` to False where a cell's centre lies closer than `radius` [m] to one of `segments` (s, 4) [m]."""
-    left, bottom = origin.tolist()
-    xs, ys = left + np.arange(free.shape[1]) * cell, bottom + np.arange(free.shape[0]) * cell
-    for x1, y1, x2, y2 in segments.tolist():
-        rows = _between(min(y1, y2) - radius - bottom, max(y1, y2) + radius - bottom, cell)
-        columns = _between(min(x1, x2) - radius - left, max(x1, x2) + radius - left, cell)
-        dx, dy, ex, ey = xs[columns] - x1, ys[rows, None] - y1, x2 - x1, y2 - y1
-        t = np.clip((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0, 1.0)
-        free[rows, columns] &= (dx - t * ex) ** 2 + (dy - t * ey) ** 2 >= radius * radius
+    raise ValueError(f"floor plan {plan.name!r}: furniture stands within {_START_CLEARANCE} m of every free place")
 
 
 def _between(low: float, high: float, cell: float) -> slice:

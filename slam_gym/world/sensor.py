@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.types._fields import compiled_form
 from slam_gym.validation import check_settings
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import (
@@ -25,7 +26,6 @@ from slam_gym.world.ray_casting import (
     Packed,
     WallIndex,
     cast,
-    movers_near,
     pull_back,
     sees,
 )
@@ -97,15 +97,6 @@ class OdometrySpec:
         check_settings(self)
 
 
-class Senses(NamedTuple):
-    """All that the robot senses in a tick, and the truth behind the scan."""
-
-    odometry: Odometry
-    scan: Scan
-    truth: Truth
-    beams: Beams
-
-
 class Sensor:
     """All senses of a robot in one floor plan. It has no state but the plan; noise comes from the generator passed in.
 
@@ -124,30 +115,15 @@ class Sensor:
         self.spec = sensor or SensorSpec()
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
-        *reals, max_features, _ = astuple(self.spec)
-        self._settings: _PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
+        self._settings = tuple(map(float, astuple(self.spec)))
         self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
-        self._wheels: _PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
+        self._wheels = tuple(map(float, astuple(self.odometry_spec)))
         self._walls = index.packed
         self._features = plan.features
         self._targets = plan.features.positions, pull_back(plan.features)
-        self._unknown_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
-
-    def sense(
-        self,
-        motion: Motion,
-        pose: Array,
-        rng: np.random.Generator,
-        people: Array = NO_DISCS,
-        furniture: Array = NO_SEGMENTS,
-    ) -> Senses:
-        """Odometry, scan and beams of one tick, with the random numbers that the three methods would draw in turn."""
-        odometry = self.odometry(motion, rng)
-        scan, truth, ranges = self._measured(pose, (people, furniture), self._bearings, rng)
-        return Senses(odometry, scan, truth, Beams(self._bearings.copy(), ranges, self.beam_spec.range))
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -157,24 +133,15 @@ class Sensor:
         Furniture and people hide features, and a person is sometimes measured as a feature, at the near side. Neither
         order nor size reveals a spurious measurement, since its size is that of a random feature of the plan.
         """
-        return self._measured(pose, (people, furniture), self._bearings[:0], rng)[:2]
-
-    def _measured(
-        self, pose: Array, moving: _Moving, bearings: Array, rng: np.random.Generator
-    ) -> tuple[Scan, Truth, Array]:
-        """A scan from `pose`, the truth behind it, and the ranges (b,) of beams."""
-        most = len(self._features) + len(moving[0])
-        polar, origins = np.empty((most, 2)), np.empty(most, np.int64)
-        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, (polar, origins))
-        n, beams = k + rng.poisson(self.spec.clutter), len(bearings)  # n: most measurements that are possible
-        noise, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), np.empty(beams)
-        buffers = _measurement_buffers(n)
-        out = buffers, (bearings, self._finder, ranges)
-        m = _measure(self._walls, pose, (k, polar, origins), self._sizes, moving, noise, self._settings, out)
-        points, covariances, sizes, size_variances, sources = buffers
-        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
-        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
-        return scan, Truth(pose.copy(), sources[:m]), ranges
+        moving = people, furniture
+        seen = _in_sight(self._walls, pose, self._targets, moving, self._settings)
+        n = len(seen[1]) + rng.poisson(self.spec.clutter)  # most measurements that are possible
+        noise = rng.random((n, 3)), rng.standard_normal((n, 3))
+        points, covariances, sizes, size_variances, sources = _measure(
+            self._walls, pose, seen, self._sizes, moving, noise, self._settings
+        )
+        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(len(sources), UNKNOWN_KIND)
+        return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; kinds of spurious ones are drawn from the plan's features, if it has any."""
@@ -187,9 +154,8 @@ class Sensor:
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to the first surface, or the full range."""
-        noise, (reach, sigma) = rng.standard_normal(self.beam_spec.count), self._finder
-        free = cast(self._walls, pose, pose[2] + self._bearings, reach, (people, furniture))
-        ranges = np.where(free < reach, np.clip(free + sigma * noise, 0.0, reach), reach)
+        noise = rng.standard_normal(self.beam_spec.count)
+        ranges = _sweep(self._walls, pose, self._bearings, (people, furniture), noise, self._finder)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
@@ -199,47 +165,30 @@ class Sensor:
         return Odometry(out[0], out[1:])
 
 
-class _Settings(NamedTuple):
-    """A `SensorSpec`, field by field, for compiled functions."""
-
-    range: float
-    min_range: float
-    field_of_view: float
-    range_sigma: float
-    range_sigma_ratio: float
-    bearing_sigma: float
-    size_sigma: float
-    detection: float
-    clutter: float
-    person_detection: float
-    max_features: int
-
+_Settings = compiled_form("_Settings", SensorSpec)
+_Wheels = compiled_form("_Wheels", OdometrySpec)
+_Values = tuple[float, ...]
+"""The values of a specification, as a plain tuple, which crosses from Python to compiled functions faster."""
 
 _Moving = tuple[Array, Array]
 """`Movers`, as a plain tuple."""
 
-_PackedSettings = tuple[float, float, float, float, float, float, float, float, float, float, int]
-"""`_Settings` as a plain tuple, which crosses from Python to compiled functions faster."""
+_Seen = tuple[Array, IntArray]
+"""True ranges and bearings (k, 2) [m, rad] of what is in sight, and its sources (k,)."""
+
+_Measured = tuple[Array, Array, Array, Array, IntArray]
+"""Points (m, 2) [m] in R, covariances (m, 2, 2) [m²], sizes (m,) [m], their variances (m,) [m²], sources (m,)."""
 
 
 @compiled
-def _in_sight(
-    walls: Packed,
-    pose: Array,
-    features: tuple[Array, Array],
-    moving: _Moving,
-    packed: _PackedSettings,
-    out: tuple[Array, IntArray],
-) -> int:
-    """Number of features (positions and pull-backs) and people (at their near side) that are in sight.
-
-    The first array of `out` (N + p, 2) receives their true ranges and bearings, the second (N + p,) their sources.
-    """
-    grid, settings, (positions, pull_backs), (polar, sources) = Grid(*walls), _Settings(*packed), features, out
+def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving: _Moving, packed: _Values) -> _Seen:
+    """The features (positions and pull-backs) and people (at their near side) that are in sight."""
+    grid, settings, (positions, pull_backs) = Grid(*walls), _Settings(*packed), features
     x, y = pose[0], pose[1]
-    people, movers = moving[0], movers_near(x, y, settings.range, Movers(*moving))
-    k = 0
-    for i in range(positions.shape[0] + people.shape[0]):
+    people, movers = moving[0], Movers(*moving)
+    k, most = 0, positions.shape[0] + people.shape[0]
+    polar, sources = np.empty((most, 2)), np.empty(most, np.int64)
+    for i in range(most):
         person = i - positions.shape[0]
         if person < 0:
             dx, dy, surface = positions[i, 0] - x, positions[i, 1] - y, 0.0
@@ -260,79 +209,57 @@ def _in_sight(
         polar[k, 0], polar[k, 1] = distance, bearing
         sources[k] = i if person < 0 else SPURIOUS
         k += 1
-    return k
-
-
-_Measured = tuple[Array, Array, Array, Array, IntArray]
-"""Buffers for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
-variances (n,) [m²], sources (n,)."""
-
-
-def _measurement_buffers(n: int) -> _Measured:
-    """Empty buffers for n measurements."""
-    return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
-
-
-_Finder = tuple[float, float]
-"""Range and sigma [m] of a `BeamSpec`, for compiled functions."""
+    return polar[:k], sources[:k]
 
 
 @compiled
 def _measure(
     walls: Packed,
     pose: Array,
-    seen: tuple[int, Array, IntArray],
+    seen: _Seen,
     sizes: Array,
     moving: _Moving,
     noise: tuple[Array, Array],
-    packed: _PackedSettings,
-    out: tuple[_Measured, tuple[Array, _Finder, Array]],
-) -> int:
-    """Write a scan of what is `seen` and the ranges of beams to `out`; returns the length of the scan.
+    packed: _Values,
+) -> _Measured:
+    """A scan of what is `seen`, and of clutter.
 
-    `seen` is the result of `_in_sight` and its arrays. `sizes` are the sizes of all features, from which sizes of
-    spurious measurements are drawn. `noise` are uniform and normal random numbers: three of each for everything in
-    sight and for each piece of clutter, then normal ones for the beams. The ranges along `bearings` have noise where
-    something was hit, and are clipped to [0, reach].
+    `sizes` are the sizes of all features, from which sizes of spurious measurements are drawn. `noise` are uniform and
+    normal random numbers (n, 3), a row of each for everything in sight and for each piece of clutter.
     """
-    settings, (k, polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
-    scan, (bearings, (reach, sigma_of_beams), ranges) = out
-    clear = cast(walls, pose, pose[2] + bearings, reach, moving)
-    for b in range(len(bearings)):
-        echo = min(max(clear[b] + sigma_of_beams * normal[len(uniform) + b], 0.0), reach)
-        ranges[b] = echo if clear[b] < reach else reach
-    draws = len(uniform) // 3
+    settings, (polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
+    draws = len(uniform)
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
     for i in range(draws):
-        size = sizes[int(uniform[3 * i + 2] * len(sizes))]
-        source = sources[i] if i < k else SPURIOUS
-        if i < k:
-            if uniform[3 * i] >= (settings.detection if source >= 0 else settings.person_detection):
+        size = sizes[int(uniform[i, 2] * len(sizes))]
+        source = sources[i] if i < len(sources) else SPURIOUS
+        if i < len(sources):
+            if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
                 continue
             sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
-            distance = max(polar[i, 0] + sigma * normal[3 * i], settings.min_range)
-            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[3 * i + 1])
+            distance = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
+            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
             if source >= 0:
                 size = sizes[source]
         else:  # uniform over the thin sector from the nearest range to the first surface
-            bearing = settings.field_of_view * (uniform[3 * i] - 0.5)
+            bearing = settings.field_of_view * (uniform[i, 0] - 0.5)
             free = cast(walls, pose, np.array([pose[2] + bearing]), settings.range, moving)[0]
             low = settings.min_range**2
-            distance = math.sqrt(low + uniform[3 * i + 1] * max(free * free - low, 0.0))
+            distance = math.sqrt(low + uniform[i, 1] * max(free * free - low, 0.0))
         measured[0, n], measured[1, n] = distance, bearing
-        measured[2, n] = max(size + settings.size_sigma * normal[3 * i + 2], 0.0)
+        measured[2, n] = max(size + settings.size_sigma * normal[i, 2], 0.0)
         origins[n] = source
         n += 1
-    return _sweep(measured, origins, int(n), settings, scan)  # int: not the literal 0 as well
+    return _nearest(measured, origins, int(n), settings)  # int: not the literal 0 as well
 
 
 @compiled
-def _sweep(measured: Array, origins: IntArray, count: int, settings: _Settings, out: _Measured) -> int:
-    """Write to `out`, by rising bearing, the nearest `max_features` of the first `count` columns of `measured`."""
-    points, covariances, sizes, size_variances, sources = out
-    nearest = np.argsort(measured[0, :count], kind="mergesort")[: settings.max_features]
+def _nearest(measured: Array, origins: IntArray, count: int, settings: Any) -> _Measured:
+    """By rising bearing, the nearest `max_features` of the first `count` columns of `measured`."""
+    nearest = np.argsort(measured[0, :count], kind="mergesort")[: int(settings.max_features)]
     order = nearest[np.argsort(measured[1][nearest], kind="mergesort")]
+    points, covariances = np.empty((len(order), 2)), np.empty((len(order), 2, 2))
     for i in range(len(order)):
         r, bearing = measured[0, order[i]], measured[1, order[i]]
         c, s = math.cos(bearing), math.sin(bearing)
@@ -342,31 +269,28 @@ def _sweep(measured: Array, origins: IntArray, count: int, settings: _Settings, 
         covariances[i, 0, 0] = c * c * along + s * s * across
         covariances[i, 1, 1] = s * s * along + c * c * across
         covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
-        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
-        sources[i] = origins[order[i]]
-    return len(order)
-
-
-class _Wheels(NamedTuple):
-    """An `OdometrySpec`, field by field, for compiled functions."""
-
-    forward: float
-    lateral: float
-    turn_per_radian: float
-    turn_per_metre: float
-    floor: float
-    slip_forward: float
-    slip_lateral: float
-    slip_turn: float
-    slip_floor: float
-
-
-_PackedWheels = tuple[float, float, float, float, float, float, float, float, float]
-"""`_Wheels` as a plain tuple."""
+    size_variances = np.full(len(order), settings.size_sigma**2)
+    return points, covariances, measured[2][order], size_variances, origins[order]
 
 
 @compiled
-def _report(packed: _PackedWheels, wheels: Array, contact: bool, noise: Array, out: Array) -> None:
+def _sweep(
+    walls: Packed, pose: Array, bearings: Array, moving: _Moving, noise: Array, finder: tuple[float, float]
+) -> Array:
+    """Ranges (b,) [m] of beams, clipped to [0, reach], with noise where something was hit.
+
+    `finder` are the range and sigma [m] of a `BeamSpec`, `noise` (b,) normal random numbers.
+    """
+    reach, sigma = finder
+    ranges = cast(walls, pose, pose[2] + bearings, reach, moving)
+    for b in range(len(ranges)):
+        if ranges[b] < reach:
+            ranges[b] = min(max(ranges[b] + sigma * noise[b], 0.0), reach)
+    return ranges
+
+
+@compiled
+def _report(packed: _Values, wheels: Array, contact: bool, noise: Array, out: Array) -> None:
     """Write the odometry of one tick to `out` (4, 3): the motion and the rows of its covariance.
 
     `wheels` (3,) is the motion by the wheels, `noise` (3,) are normal random numbers.

@@ -62,15 +62,14 @@ def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
 def test_a_lying_truth_changes_no_observation_and_no_reward(associator, action, steps, monkeypatch) -> None:
     env = explore("office", action=action, associator=associator, reward="a_opt", locality="covisibility")
     honest = list(episode(env, steps, seed=2))
-    sense = Sensor.sense
+    honest_scan = Sensor.scan
 
     def lie(self, *args):
-        senses = sense(self, *args)
-        truth = senses.truth
+        scan, truth = honest_scan(self, *args)
         names = np.random.default_rng(0).permutation(1 + len(self._features)) - 1  # of SPURIOUS, too
-        return senses._replace(truth=Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1]))
+        return scan, Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1])
 
-    monkeypatch.setattr(Sensor, "sense", lie)
+    monkeypatch.setattr(Sensor, "scan", lie)
     lied_to = list(episode(env, steps, seed=2))
     for one, other in zip(honest, lied_to, strict=True):
         assert not differences(one[:4], other[:4])

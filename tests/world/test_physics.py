@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose
+from slam_gym.world.driving import RobotSpec
 from slam_gym.world.floor_plan import Features, FloorPlan, Room
-from slam_gym.world.physics import DynamicsSpec, RobotSpec, World
+from slam_gym.world.physics import DynamicsSpec, World
 from slam_gym.world.ray_casting import WallIndex, outlines
 
 NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty(0))
@@ -155,7 +156,7 @@ def test_a_robot_that_is_carried_away_starts_from_rest_where_it_is_put_down() ->
 class ByPymunk(World):
     """Every tick goes to pymunk."""
 
-    def _drive_freely(self, forward, turn, motion):
+    def _drive_freely(self, forward, turn, wheels):
         return False
 
 
