@@ -186,7 +186,8 @@ class Atlas:
         recent = recent_part(*active, spec)
         for position, older in enumerate(self.inactive):
             joined = join_recognised(older, active, recent, spec)
-            found = self._relocate(scan, *older, reach, None) if joined is None else None
+            just_left = bool(np.isin(older.map.ids, step.removed).any())  # the scan was not found in it
+            found = self._relocate(scan, *older, reach, None) if joined is None and not just_left else None
             if found is not None:
                 joined = join_relocated(older, active, found, _features_of(step, active.map), spec)
             if joined is not None:

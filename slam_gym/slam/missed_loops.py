@@ -16,7 +16,7 @@ from slam_gym.types import UNPAIRED, Hypothesis
 
 _EVERY = 5  # [scans] between looks, since visibility casts rays for every feature in reach
 _LOOKS = 20  # the last so many are judged together
-_REPLACED = 2.5  # mean number per look from which a loop is held to be missed; in sound maps of floors at most 1.6
+_REPLACED = 2.5  # mean number per look from which a loop is held to be missed; few sound maps of floors reach it
 _IN_VIEW = 0.5  # visibility from which a feature should be in view
 _OLD = 100  # [steps] since a feature was first seen
 

@@ -8,14 +8,14 @@ import pytest
 from slam_gym.association.prediction import StartRule
 from slam_gym.geometry import compose, relative
 from slam_gym.mapping.linear_algebra import is_covariance
-from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, IntArray
+from slam_gym.types import NO_ID, IntArray, Scan
 from tests.slam.rings import REACH, VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
@@ -187,6 +187,17 @@ def test_without_patience_there_is_one_map_only() -> None:
     log, slam = loop_drive(0, 160, 100, 0.014), Slam(SPEC, VIEW, relocate=nobody, atlas=AtlasSpec(patience=None))
     map_it(slam, log)
     assert slam.lost and slam.maps == (slam.map,)
+
+
+def test_no_scan_is_searched_for_twice_in_one_map() -> None:
+    searches = []
+
+    def search(scan: Scan, m: StochasticMap, *_: object) -> None:
+        searches.append((id(scan), int(m.ids[0])))
+
+    log = loop_drive(0, 160, 100, 0.014)
+    map_it(Slam(SPEC, VIEW, relocate=search, atlas=replace(EARLY, rejoin=1)), log)
+    assert len(searches) == len(set(searches)) > 8
 
 
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
