@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,29 +107,28 @@ class TwoLaps:
         self.poses = np.concatenate([self.base[None], lap, back])
         self.second = 1 + len(lap)  # stop at which the second lap begins
 
-    def stops(self) -> Iterator[Stop]:
-        """Every stop in turn, mapped with true associations."""
+    def sampled(self, count: int) -> Iterator[Stop]:
+        """Up to `count` stops, evenly spaced over the second lap, with enough measurements of mapped features.
+
+        All stops are mapped with true associations.
+        """
         scenario, previous = self.level.scenario, self.base
         slam = Slam(replace(scenario.slam, reach=scenario.sensor.range))
         judged = JudgedSlam(slam, CEILING)
         reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
         grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
-        for pose in self.poses:
+        due = np.linspace(self.second, len(self.poses), count, endpoint=False).astype(int).tolist()
+        for k, pose in enumerate(self.poses):
             moved = relative(previous, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
             scan, truth = self.look(pose)
-            yield Stop(slam, odometry, scan, RightAnswers.of(truth, judged.identities.source_of(slam.map.ids)), grid)
+            answers = RightAnswers.of(truth, judged.identities.source_of(slam.map.ids))
+            if due and k >= due[0] and answers.known >= MIN_MAPPED:
+                due.pop(0)
+                yield Stop(slam, odometry, scan, answers, grid)
             judged.step(odometry, scan, truth)
             grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
             previous = pose
-
-    def sampled(self, count: int) -> Iterator[Stop]:
-        """Up to `count` stops, evenly spaced over the second lap, with enough measurements of mapped features."""
-        due = np.linspace(self.second, len(self.poses), count, endpoint=False).astype(int).tolist()
-        for k, stop in enumerate(self.stops()):
-            if due and k >= due[0] and stop.truth.known >= MIN_MAPPED:
-                due.pop(0)
-                yield stop
 
     def look(self, pose: Array) -> tuple[Scan, Truth]:
         """A scan from a pose (3,) W. People stand at new random places, none of them on the robot."""
@@ -171,11 +171,6 @@ class Judgement(NamedTuple):
     wrong: int
     refused: int  # measurements of a mapped feature that are left unpaired
     mapped: int  # measurements of a mapped feature
-
-    @property
-    def score(self) -> float:
-        """(right − 10 · wrong) / mapped, but not below −1; 1 without a mistake, 0 where all are refused."""
-        return max(-1.0, (self.right - WRONG_COST * self.wrong) / self.mapped)
 
 
 def judge(features: IntArray, right: IntArray) -> Judgement:
@@ -235,60 +230,50 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
     """The evaluation of all associators and relocators on every level. Raises ValueError for unknown names."""
     worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
     count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
-    for name in associators:
-        find_associator(name)
-    for name in relocators:
-        resolve_relocator(name)
+    with_prior = {name: find_associator(name) for name in associators}
+    without_prior = {name: resolve_relocator(name) for name in relocators}
     tasks = []
     for name in dict.fromkeys(options.experiments or EXPERIMENTS):
         one_of("experiment", name, EXPERIMENTS)
-        for level in EXPERIMENTS[name].levels[:: 2 if options.quick else 1]:
-            for world in range(worlds):
-                names = relocators if name == RELOCATION else associators
-                keys = [Key(each, level.id, world) for each in names]
-                tasks.append(Task(keys, partial(evaluate_all, level.id, world, names, count, split)))
+        searches: Mapping[str, Any] = without_prior if name == RELOCATION else with_prior
+        for level, world in product(EXPERIMENTS[name].levels[:: 2 if options.quick else 1], range(worlds)):
+            keys = [Key(each, level.id, world) for each in searches]
+            tasks.append(Task(keys, partial(evaluate, level.id, world, searches, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
     return Evaluation("suite", tasks, size)
 
 
-def evaluate_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:
-    """The record of each associator, or relocator, for up to `count` problems in one world of one level."""
-    level = get_level(setting)
-    find: Callable[[str], Any] = resolve_relocator if level.experiment == RELOCATION else find_associator
-    records = evaluate(setting, world, {name: find(name) for name in names}, count, split)
-    return [{"experiment": level.experiment, "knob": level.knob} | records[name] for name in names]
-
-
-def evaluate(
-    setting: str, world: int, functions: Mapping[str, Any], count: int, split: str = "test"
-) -> dict[str, Record]:
-    """The records of associators, by name, for up to `count` problems of a world; of relocators where the level is one
-    of kidnapped robots."""
+def evaluate(setting: str, world: int, searches: Mapping[str, Any], count: int, split: str) -> list[Record]:
+    """The record of each associator, or of each relocator where the level is one of kidnapped robots, for up to `count`
+    problems of a world. `searches` are the functions by name."""
     level = get_level(setting)
     kidnapped = level.experiment == RELOCATION
-    meters = {name: Metered(partial(ask, name, function)) for name, function in functions.items()}
-    answers: dict[str, list[Any]] = {name: [] for name in functions}
+    meters = [Metered(partial(ask, name, search)) for name, search in searches.items()]
+    answers: list[list[Any]] = [[] for _ in meters]
     truths: list[Any] = []
     for problem in (relocation_problems if kidnapped else problems)(level, world, count, split):
         truths.append(problem.right)
-        for name, meter in meters.items():
-            answers[name].append(meter(problem))
+        for own, meter in zip(answers, meters):
+            own.append(meter(problem))
+    about = {"experiment": level.experiment, "knob": level.knob}
     record = relocation_record if kidnapped else association_record
-    return {name: record(own, truths) | meters[name].effort() for name, own in answers.items()}
+    return [about | record(own, truths) | meter.effort() for own, meter in zip(answers, meters)]
 
 
 def association_record(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
     """Fractions over the problems of a world; NaN where it had none.
 
-    The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` scans, all
-    measurements of mapped features are paired rightly and no others are paired.
+    A scan scores (right − 10 · wrong) / mapped, but not below −1; the score is the mean, but not below 0. `spoiled` are
+    scans with a wrong pairing; in `exact` scans, all measurements of mapped features are paired rightly and no others
+    are paired.
     """
     judged = [judge(hypothesis.features, features) for hypothesis, features in zip(answers, right)]
     scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
     agreed, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
+    scores = ((agreed - WRONG_COST * wrong) / mapped).clip(lower=-1.0)
     return {
         "problems": len(scans),
-        "score": float(max(pd.Series([j.score for j in judged], dtype=float).mean(), 0.0)),  # NaN stays
+        "score": float(max(scores.mean(), 0.0)),  # NaN stays
         "spoiled": float((wrong > 0.0).mean()),
         "refused": float((refused / mapped).mean()),
         "exact": float((wrong + refused == 0.0).mean()),

@@ -59,33 +59,27 @@ class Metered:
         self.reset()
 
     def reset(self) -> None:
-        self.nodes: list[int] = []
-        self.seconds: list[float] = []
-        self.limits = 0  # calls that reached the limit of their search
+        self.calls: list[tuple[int, float, bool]] = []  # nodes, seconds, whether the search reached its limit
 
     def __call__(self, *arguments: Any) -> Any:
         start = time.perf_counter()
         answer = self._function(*arguments)
-        self.seconds.append(time.perf_counter() - start)
-        self.nodes.append(answer.effort.nodes)
-        self.limits += answer.effort.limit_hit
+        seconds = time.perf_counter() - start
+        self.calls.append((answer.effort.nodes, seconds, answer.effort.limit_hit))
         return answer
 
     def effort(self) -> Record:
         """Mean nodes, median time (which excludes compilation in the first call), and limits; NaN without calls."""
-        if not self.seconds:
+        nodes, seconds, limits = np.array(self.calls, float).reshape(-1, 3).T
+        if not len(nodes):
             return dict.fromkeys(("nodes", "microseconds", "limits"), math.nan)
-        return {
-            "nodes": float(np.mean(self.nodes)),
-            "microseconds": 1e6 * float(np.median(self.seconds)),
-            "limits": self.limits,
-        }
+        return {"nodes": nodes.mean(), "microseconds": 1e6 * np.median(seconds), "limits": limits.sum()}
 
 
-def metered(associator: str | Associator) -> tuple[Metered, Associator | str]:
+def metered(associator: str) -> tuple[Metered, Associator | str]:
     """A meter, and the associator to use: the metered one, or the name `true_association`, which cannot be wrapped, so
     that its meter stays empty."""
     if associator == CEILING:
         return Metered(ASSOCIATORS[CEILING]), CEILING
-    meter = Metered(find_associator(associator) if isinstance(associator, str) else associator)
+    meter = Metered(find_associator(associator))
     return meter, meter

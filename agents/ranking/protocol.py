@@ -84,8 +84,8 @@ def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
         if "/" not in setting:
             agent, env = _loop(entry, role, setting)
             return [{"loss": float(run_episode(env, agent, episode)["map_error"])}]
-        searchers = {entry: _searcher(entry, role)}
-        return [{"loss": 1.0 - evaluate(setting, episode, searchers, PROBLEMS, SPLIT)[entry]["score"]}]
+        (record,) = evaluate(setting, episode, {entry: _searcher(entry, role)}, PROBLEMS, SPLIT)
+        return [{"loss": 1.0 - record["score"]}]
     except EntryError as error:
         return [{"loss": LOST, "failed": str(error)}]
 

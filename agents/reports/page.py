@@ -7,7 +7,6 @@ kind. Pictures are embedded in the page; films are separate files. The terminal 
 from __future__ import annotations
 
 import base64
-import importlib
 import io
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -22,14 +21,6 @@ from agents.evaluation.pipeline import Results, read_results
 from agents.evaluation.records import undamaged, write_whole
 from agents.evaluation.tables import Table, cell, display_name
 from agents.reports.figures import colours
-
-PAGES = {
-    "drivers": "agents.reports.drives:drives_page",
-    "associators": "agents.reports.drives:drives_page",
-    "suite": "agents.reports.suite:suite_page",
-    "recordings": "agents.reports.recordings:recordings_page",
-}
-"""Kind of an evaluation → the function that makes its page from the results and their folder."""
 
 
 class Picture(NamedTuple):
@@ -62,19 +53,19 @@ class Page:
 
     @property
     def tables(self) -> list[Table]:
-        """The tables for the terminal."""
         return [part for part in (*self.parts, *self.headline[::-1]) if isinstance(part, Table) and not part.detail]
 
 
 def page_of(results: Results, folder: Path) -> Page:
     """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
+    from agents.reports.pages import drives_page, recordings_page, suite_page  # pages import this module
+
     kind = results.metadata["kind"]
-    if kind not in PAGES:
+    pages = {"drivers": drives_page, "associators": drives_page, "suite": suite_page, "recordings": recordings_page}
+    if kind not in pages:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
-    module, _, name = PAGES[kind].partition(":")
     with undamaged(f"results.csv or results.json of {folder}"):
-        page: Page = getattr(importlib.import_module(module), name)(results, folder)
-        return page
+        return pages[kind](results, folder)
 
 
 def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]] = iter) -> Path:

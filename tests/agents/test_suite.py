@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from agents.evaluation.associators import find_associator
 from agents.suite import (
     MAX_DISTANCE,
     MAX_TURN,
@@ -15,13 +16,13 @@ from agents.suite import (
     Problem,
     ask,
     association_record,
-    evaluate_all,
+    evaluate,
     judge,
     judge_relocation,
     problems,
     relocation_problems,
 )
-from slam_gym.association import ASSOCIATORS
+from slam_gym.association import ASSOCIATORS, resolve_relocator
 from slam_gym.geometry import transform
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.judged import CEILING
@@ -123,12 +124,11 @@ def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
 
 # -- the records of worlds ---------------------------------------------------------------------------------------------
 
-ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
-
 
 def run(level, world, names, count):
     """The records of some names in a world of the train split."""
-    return [{"name": name} | found for name, found in zip(names, evaluate_all(level, world, names, count, "train"))]
+    searches = {name: (resolve_relocator if level.startswith(RELOCATION) else find_associator)(name) for name in names}
+    return [{"name": name} | found for name, found in zip(names, evaluate(level, world, searches, count, "train"))]
 
 
 @pytest.mark.parametrize("name", ASSOCIATION)

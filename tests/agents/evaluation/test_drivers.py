@@ -10,7 +10,7 @@ from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.pipeline import carry_out
 from agents.options import Execution
-from agents.reports.drives import drive_tables
+from agents.reports.pages import drive_tables
 from slam_gym.metrics.statistics import interquartile_mean
 
 

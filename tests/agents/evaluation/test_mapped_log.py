@@ -20,7 +20,7 @@ from agents.evaluation.mapped_log import (
     write_mapped_log,
 )
 from agents.options import Recorded
-from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
+from agents.reports.pages import FURTHER_LOG_COLUMNS, LOG_COLUMNS, log_means, log_tables
 from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.metrics.map_quality import ate, landmark_rmse
 from slam_gym.recordings import open_recordings
@@ -193,14 +193,14 @@ def test_every_kth_step_compounds_the_odometry_of_the_others(log, count) -> None
 
 
 def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_out() -> None:
-    numbers = [column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]
+    numbers = [column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]
     frame = pd.DataFrame([
         {"setting": setting, "name": name, **dict.fromkeys(numbers, value), "anees": math.nan}
         for setting, value in (("a", 1.0), ("b", 3.0)) for name in ("singles", "jcbb")
     ])  # fmt: skip
-    assert list(means(frame)["ate"]) == [2.0, 2.0] and list(means(frame)["name"]) == ["singles", "jcbb"]
-    assert list(means(frame[1:])["name"]) == ["jcbb"]  # the only one that was run over both
-    assert [c.key for c in tables(frame[:2], "")[0].columns] == [c.key for c in COLUMNS if c.key != "anees"]
+    assert list(log_means(frame)["ate"]) == [2.0, 2.0] and list(log_means(frame)["name"]) == ["singles", "jcbb"]
+    assert list(log_means(frame[1:])["name"]) == ["jcbb"]  # the only one that was run over both
+    assert [c.key for c in log_tables(frame[:2], "")[0].columns] == [c.key for c in LOG_COLUMNS if c.key != "anees"]
 
 
 def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.reports.suite import by_world, leads, relocations, scores
+from agents.reports.pages import by_world, leads, relocations, scores
 from agents.suite import OUTCOMES, promised
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 

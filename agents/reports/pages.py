@@ -1,0 +1,303 @@
+"""The pages of the reports: of drives, of the association suite, and of recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import pandas as pd
+
+from agents.drivers.clairvoyant import Clairvoyant
+from agents.evaluation.associators import JOIN
+from agents.evaluation.drives import map_path
+from agents.evaluation.episodes import LOST_MEANS
+from agents.evaluation.mapped_log import FOLDER
+from agents.evaluation.pipeline import Results
+from agents.evaluation.records import stem
+from agents.evaluation.tables import (
+    INTERVALS,
+    Column,
+    Rows,
+    Table,
+    by_name,
+    by_setting,
+    columns,
+    counted,
+    difference,
+    display_name,
+    estimate,
+    estimate_of,
+    estimates,
+)
+from agents.reports import figures
+from agents.reports.film import BESIDE, film_path
+from agents.reports.page import Film, Page, Part, Picture
+from agents.suite import OUTCOMES
+from slam_gym.metrics.statistics import Interval, mean
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
+from slam_gym.simulation.judged import CEILING
+
+# -- drives: of drivers, or of associators in the loop -----------------------------------------------------------------
+
+COLUMNS = {
+    "drivers": columns(
+        "map_error", "map_error_aligned", "coverage", "precision", "recall", "anees", "map_lost", "ticks",
+        "ticks_per_second",
+    ),
+    "associators": columns(
+        "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error_aligned",
+        "map_error", "anees",
+    ),
+}  # fmt: skip
+RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
+PANELS = {
+    "drivers": columns("map_error", "coverage"),
+    "associators": columns("precision", "recall", "map_error_aligned", "microseconds"),
+}
+MEAN = "mean"  # over all scenarios
+PAIRED = "paired over the episodes of all scenarios; negative: the row makes the better map; bold: not 0 by chance"
+
+
+def drives_page(results: Results, folder: Path) -> Page:
+    """First paired differences, for associators with map errors and lost maps; a table for each scenario with its
+    episodes; for drivers curves over time, for associators final maps; and the films in `folder`."""
+    kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
+    drivers, parts, first = kind == "drivers", list[Part](), [] if kind == "drivers" else headline(results.frame)
+    for table, (setting, frame) in zip(drive_tables(results), by_setting(results.frame).items()):
+        dots = partial(figures.dot_chart, by_name(frame), PANELS[kind], colour)
+        parts += [table, Picture(f"Each episode of {table.title}", dots)]
+        if drawn := {name: path for name in groups if (path := map_path(folder, setting, name)).exists()}:
+            final = partial(figures.side_by_side, drawn)
+            parts.append(Picture(f"Maps at the end of the first episode of {table.title}", final))
+    if drivers:
+        curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
+        parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]
+    if len(groups) > 1:
+        error = "map_error" if drivers else "map_error_aligned"  # drivers are rewarded by the former
+        gaps: Rows = {
+            name: {other: difference(own, groups[other], error) for other in groups if other != name}
+            for name, own in groups.items()
+        }
+        others = [Column(name, display_name(name)) for name in groups]
+        corner = f"{'' if drivers else 'aligned '}map error of … minus that of"
+        against = Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True)
+        (parts if any(table.differences for table in first) else first).insert(0, against)
+    if (beside := film_path(folder, BESIDE)).with_suffix(".png").exists():
+        parts.append(Film("Side by side", beside, None))
+    for agent, own in groups.items():
+        if (path := film_path(folder, agent)).with_suffix(".png").exists():
+            parts.append(Film(agent, path, own.loc[own["episode"].idxmin(), "map_error"]))
+    title = "Drivers" if drivers else "Associators in the loop"
+    subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all"
+    return Page(title, subtitle, parts, "drives.html", first)
+
+
+def drive_tables(results: Results) -> list[Table]:
+    """One table per scenario, with rows in the order of the command.
+
+    Models of one agent are pooled. Where a robot was carried away, there are columns on relocation.
+    """
+    kind, tables = results.metadata["kind"], []
+    for setting, frame in by_setting(results.frame).items():
+        shown = COLUMNS[kind] + (RELOCATION_COLUMNS if frame["kidnapped"].any() else [])
+        title = f"{setting}, {counted(frame['episode'].nunique(), 'episode')}"
+        title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
+        rows = {name: estimates(episodes, shown) for name, episodes in by_name(frame).items()}
+        table = Table(title, kind.removesuffix("s"), shown, rows)
+        if Clairvoyant.name in rows:
+            table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
+        missed = int(frame["missed_loop"].sum()) if "missed_loop" in frame else 0
+        if missed:
+            warning = f"in {missed} of {counted(len(frame), 'drive')} the robot says that it has mapped a place twice"
+            table = replace(table, caption=f"{table.caption}; {warning}")
+        tables.append(table)
+    return tables
+
+
+def headline(frame: pd.DataFrame) -> list[Table]:
+    """Two tables: paired differences to true association with the same relocation, where there are any, and aligned map
+    errors with errors that are not aligned and lost maps."""
+    groups, (error, raw, lost) = by_name(frame), columns("map_error_aligned", "map_error", "map_lost")
+    settings = list(by_setting(frame))
+    means = [
+        Column(setting, setting, 3, "lower") for setting in (settings if len(settings) == 1 else [*settings, MEAN])
+    ]
+    errors: Rows = {}
+    gaps: Rows = {}
+    for name, own in groups.items():
+        parts = by_setting(own) | {MEAN: own}
+        errors[name] = {setting: estimate_of(some, error.key, mean) for setting, some in parts.items()}
+        errors[name] |= {column.key: estimate_of(own, column.key, mean) for column in (raw, lost)}
+        associator, join, relocation = name.partition(JOIN)
+        truth = f"{CEILING}{join}{relocation}"
+        if associator != CEILING and truth in groups:
+            gaps[name] = {setting: difference(some, groups[truth], error.key, mean) for setting, some in parts.items()}
+    caption = f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}"
+    tables = [Table("Aligned map error", "associator", [*means, raw, lost], errors, caption)]
+    if gaps:
+        caption = f"mean over the same episodes{INTERVALS}"
+        title = "Aligned map error above that of true association with the same relocation"
+        tables.insert(0, Table(title, "associator", means, gaps, caption, differences=True))
+    return tables
+
+
+# -- the suite: one number per capability, from the results of worlds --------------------------------------------------
+
+MISTAKES = columns("spoiled", "refused")
+EFFORT = columns("nodes", "microseconds", "limits")
+DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *columns("promised", "kept"), *EFFORT]
+
+
+def suite_page(results: Results, folder: Path) -> Page:
+    """The paired differences in the ranking, the scores, and a plot for each capability."""
+    size, colour, parts = results.conditions, figures.colours(results.names), list[Part]()
+    about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
+    association = results.frame[results.frame["experiment"] != RELOCATION]
+    if len(association):
+        capability_scores = scores(association)
+        if gaps := leads(association):
+            ahead, caption = _scores_of(association), "paired over worlds; bold: the interval excludes 0"
+            parts.append(Table("Ahead of the next", "ahead of the next by", ahead, gaps, caption, True, detail=True))
+        mistakes, shown = details(association, MISTAKES), [*_scores_of(association), *MISTAKES]
+        rows: Rows = {name: own | mistakes[name] for name, own in capability_scores.items()}
+        parts.append(Table(f"Capabilities, {about}", "associator", shown, rows))
+        parts.append(Picture("Score per capability", partial(figures.capability_bars, capability_scores, colour)))
+    for name, frame in results.frame.groupby("experiment", sort=False):
+        experiment = EXPERIMENTS[str(name)]
+        if name == RELOCATION:
+            table = relocations(frame, f"Kidnapped: searches without a prior, {about}")
+        else:
+            table = Table(experiment.name.capitalize(), "associator", DETAILS, details(frame, DETAILS), "", detail=True)
+        curves = {row: levels(frame[frame["name"] == row]) for row in table.rows}
+        chart = partial(figures.level_chart, curves, experiment.axis, colour)
+        parts += [table, f"{experiment.question} {experiment.why}", Picture(f"Score against {experiment.axis}", chart)]
+    subtitle = f"{about}, of the {size['split']} split, the same for all: single scans against real SLAM maps"
+    return Page("The association suite", subtitle, parts, "suite.html")
+
+
+def relocations(frame: pd.DataFrame, title: str = "") -> Table:
+    """The scores of searches without a prior, the number of each outcome, and their effort, best first."""
+    counts, score = frame.groupby("name")[list(OUTCOMES)].sum(), columns("score")
+    rows = {name: own | counts.loc[name].to_dict() for name, own in details(frame, [*score, *EFFORT]).items()}
+    outcomes = [Column(outcome, outcome, 0) for outcome in OUTCOMES]
+    return Table(title, "search", [*score, *outcomes, *EFFORT], rows)
+
+
+def _experiments(frame: pd.DataFrame) -> list[str]:
+    """The experiments among the results, in the order of the suite."""
+    return [name for name in EXPERIMENTS if name in set(frame["experiment"])]
+
+
+def _scores_of(frame: pd.DataFrame) -> list[Column]:
+    """A column for each experiment, and one for their mean."""
+    return [Column(name, name, 3, "higher") for name in (*_experiments(frame), "all")]
+
+
+def by_world(frame: pd.DataFrame, key: str = "score") -> pd.DataFrame:
+    """The mean of a number over the levels, with a row for each name and world and a column for each experiment; column
+    `all` is the mean of these. NaN for a world that lacks the number in one level."""
+    groups = frame.groupby(["experiment", "name", "episode"])[key]
+    levels = frame.groupby("experiment")["setting"].nunique()
+    counts = groups.count()
+    complete = groups.mean().where(counts == counts.index.get_level_values("experiment").map(levels))
+    table = complete.unstack("experiment")[_experiments(frame)]
+    return table.assign(all=table.mean(axis=1, skipna=False))
+
+
+def scores(frame: pd.DataFrame) -> dict[str, dict[str, Interval]]:
+    """Name → experiment → interquartile mean over worlds; `all` is that of the means over experiments. Best first."""
+    worlds = by_world(frame)
+    found = {name: _estimates(worlds.loc[name]) for name in frame["name"].unique()}
+    means = {name: own["all"].estimate for name, own in found.items()}
+    return {name: found[name] for name in sorted(found, key=lambda name: (math.isnan(means[name]), -means[name]))}
+
+
+def leads(frame: pd.DataFrame) -> Rows:
+    """Name → experiment → paired difference over worlds between its score and that of the next in rank."""
+    worlds = by_world(frame)
+    return {name: _estimates(worlds.loc[name] - worlds.loc[after]) for name, after in pairwise(scores(frame))}
+
+
+def details(frame: pd.DataFrame, shown: Sequence[Column]) -> Rows:
+    """Name → key of a column → interquartile mean over worlds of the mean over all levels. Best first."""
+    worlds = pd.DataFrame({column.key: by_world(frame, column.key)["all"] for column in shown})
+    return {name: _estimates(worlds.loc[name]) for name in scores(frame)}
+
+
+def levels(frame: pd.DataFrame) -> dict[float, Interval]:
+    """Knob → score, for one name in one experiment."""
+    return {float(knob): estimate(own) for knob, own in frame.groupby("knob", sort=False)["score"]}
+
+
+def _estimates(worlds: pd.DataFrame) -> dict[str, Interval]:
+    return {str(column): estimate(worlds[column]) for column in worlds}
+
+
+# -- recordings: the measures of each associator on each log, with maps and errors -------------------------------------
+
+LOG_COLUMNS = columns(
+    "precision", "recall", "f1", "features", "duplicates", "clutter_features", "ate", "ate_batch", "landmark_rmse",
+    "landmark_rmse_batch", "anees", "seconds",
+)  # fmt: skip
+FURTHER_LOG_COLUMNS = columns(
+    "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
+    "nodes", "microseconds", "step_microseconds", "limits",
+)  # fmt: skip
+LOG_CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
+least squares with the same pairings; with true pairings, it is the best possible result.
+feat.: confirmed features; dupl.: further ones of a landmark; clut.: of no landmark.
+s: time of the whole log."""
+
+
+def recordings_page(results: Results, folder: Path) -> Page:
+    """For each log its tables, maps over the reference, and errors over time; means where there are several logs."""
+    logs, colour, parts = by_setting(results.frame), figures.colours(results.names), list[Part]()
+    for name, own in logs.items():
+        about = own.iloc[0]
+        title = f"{name}, {about['steps']} scans, {about['true_features']} labelled features"
+        parts += [
+            *log_tables(own, title),
+            f"{about['measurements']} measurements, {about['clutter']} of them spurious. {about['source']}",
+        ]
+        parts += _pictures(name, own["name"], folder / FOLDER, colour)
+    if len(logs) > 1:
+        parts += log_tables(log_means(results.frame), "mean")
+    subtitle = f"EKF-SLAM over real logs, {counted(len(results.names), 'associator')}"
+    return Page("Associators on recordings", subtitle, parts, "recordings.html")
+
+
+def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
+    """Two tables of one log, or of means: the most important columns, and further ones. Empty columns are left out."""
+    both = []
+    for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS):
+        filled = [column for column in shown if frame[column.key].notna().any()]
+        rows = frame.set_index("name")[[column.key for column in filled]].astype(float).to_dict("index")
+        both.append(Table(title, "associator", filled, rows, LOG_CAPTION))
+    return [both[0], replace(both[1], title="", caption="", detail=True)]
+
+
+def log_means(frame: pd.DataFrame) -> pd.DataFrame:
+    """The means of each associator that was run over all logs, in the order of the frame."""
+    groups = frame.groupby("name", sort=False)
+    table = groups[[column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]].mean()
+    return table[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
+
+
+def _pictures(log: str, names: pd.Series, folder: Path, colour: figures.Colours) -> list[Part]:
+    """Maps and errors of the associators whose files exist, if the log has a reference."""
+    errors, features = {}, {}
+    for name in names:
+        files = [folder / f"{stem(log, name)}.{kind}.csv" for kind in ("errors", "map")]
+        if all(file.exists() for file in files) and len(error := pd.read_csv(files[0])):
+            errors[name], features[name] = error, pd.read_csv(files[1])
+    places = [folder / f"{stem(log)}.{of}.csv" for of in ("reference", "landmarks")]
+    if not errors or not all(file.exists() for file in places):
+        return []
+    reference, landmarks = (pd.read_csv(file).to_numpy() for file in places)
+    maps = partial(figures.maps, errors, features, reference, landmarks, colour)
+    over_time = partial(figures.errors_over_time, errors, colour)
+    return [Picture(f"Maps over the reference, {log}", maps), Picture(f"Position errors over time, {log}", over_time)]
