@@ -23,11 +23,11 @@ WORLD = 4  # of the train split
 ASSOCIATORS = ("nearest_neighbour", "learned")
 
 
-def one_drive(scenario: str, world: int) -> Array:
+def one_drive(scenario: str, world: int, **arguments: Any) -> Array:
     """(t, 2) the speeds, in [−1, 1], of a drive by information gain with true associations."""
     from agents.drivers.base import make_agent, visible
 
-    arguments = {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
+    arguments |= {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
     agent = make_agent("information_gain")
     agent.reset(world)
@@ -47,14 +47,14 @@ def one_drive(scenario: str, world: int) -> Array:
 def mapped(
     scenario: str, world: int, speeds: Array, *, watch: Callable[[Any], None] | None = None, **arguments: Any
 ) -> Any:
-    """The episode with the same drive, odometry and scans, and another SLAM. Calls `watch(episode)` after each tick."""
+    """The episode with the same drive, odometry and scans, and another SLAM. Calls `watch(env)` after each scan."""
     arguments |= {"scenario": scenario, "action": "twist", "disable_env_checker": True}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
+    if watch is not None:
+        env.watch(watch)
     env.reset(seed=world, options={"world": world})
     for speed in speeds:
         env.step(speed)
-        if watch is not None:
-            watch(env.episode)
     return env.episode
 
 

@@ -43,7 +43,6 @@ class DrivenLog:
 
     world: str
     steps: Sequence[tuple[Odometry, Scan, Truth]]
-    landmarks: dict[int, Array]  # true place (2,) of each source, in the frame of the poses
     slam: SlamSpec
     features_per_map: int
     checkpoints: int
@@ -82,7 +81,7 @@ def loop(seed: int, spec: LoopSpec) -> DrivenLog:
         scan = Scan.from_polar(ranges, bearings, spec.range_sigma * ranges, spec.bearing_sigma)
         steps.append((odometry, scan, Truth(pose, seen)))
     name = f"loop, {spec.heading:g}°" + (", sparse" if spec.spacing > 5.0 else "")
-    return DrivenLog(name, steps, dict(enumerate(features)), replace(SPEC, reach=spec.reach), 30, 20)
+    return DrivenLog(name, steps, replace(SPEC, reach=spec.reach), 30, 20)
 
 
 def walls(spec: LoopSpec, rng: np.random.Generator) -> Array:
@@ -99,11 +98,9 @@ def walls(spec: LoopSpec, rng: np.random.Generator) -> Array:
 def park(folder: Path, steps: int | None = None) -> DrivenLog:
     """Victoria Park, or its first steps, with the least-squares optimum as the truth."""
     log = victoria_park(folder).part(0, steps)
-    optimum = reference(log)
-    driven = [
-        (odometry, scan, Truth(pose, sources)) for (odometry, scan, sources), pose in zip(log.steps(), optimum.poses)
-    ]
-    return DrivenLog("park", driven, dict(zip(optimum.ids.tolist(), optimum.positions)), slam_for(log), 60, 60)
+    poses = reference(log).poses
+    driven = [(odometry, scan, Truth(pose, seen)) for (odometry, scan, seen), pose in zip(log.steps(), poses)]
+    return DrivenLog("park", driven, slam_for(log), 60, 60)
 
 
 def estimate(log: DrivenLog, method: str, associator: str) -> Record:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agents.suite import association_record
 from benchmarks.common import Record, fastest, lanes, options, table
 from slam_gym import ASSOCIATORS, UNPAIRED, MapSpec, Odometry, Prediction, Scan, StochasticMap, jcbb
 from slam_gym.association.compatibility import individual
@@ -36,6 +37,13 @@ STEP = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odomet
 PAIRED = 15  # largest number of mapped features that a scan of the mapping drive updates
 
 
+WORKLOADS = {
+    "loop closure": (np.array([0.45, 0.45, math.radians(2.0)]), 0.3),
+    "tracking": (np.array([0.02, 0.02, math.radians(0.5)]), 0.2),
+}
+"""Name → σ (3,) [m, m, rad] of the odometry before the scan, and the fraction of spurious measurements."""
+
+
 @dataclass(frozen=True)
 class MappedField:
     """A field of features, its map, and the map feature of each."""
@@ -44,19 +52,6 @@ class MappedField:
     map: StochasticMap
     index: IntArray  # (n,) map feature, UNPAIRED where there is none
     pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
-
-
-@dataclass(frozen=True)
-class Workload:
-    """The difficulty of a scan."""
-
-    name: str
-    sigma: Array  # (3,) [m, m, rad] of the odometry before the scan
-    spurious: float  # fraction of the measurements
-
-
-LOOP = Workload("loop closure", np.array([0.45, 0.45, math.radians(2.0)]), 0.3)
-TRACKING = Workload("tracking", np.array([0.02, 0.02, math.radians(0.5)]), 0.2)
 
 
 @dataclass(frozen=True)
@@ -89,13 +84,14 @@ def mapped_field(n: int, rng: np.random.Generator) -> MappedField:
     return MappedField(features, slam_map, index, pose)
 
 
-def closure_scan(field: MappedField, m: int, w: Workload, rng: np.random.Generator) -> ClosureScan:
+def closure_scan(field: MappedField, m: int, workload: str, rng: np.random.Generator) -> ClosureScan:
     """A scan of m measurements at a random place, to which the robot is carried: the nearest features, and clutter."""
+    sigma, fraction = WORKLOADS[workload]
     carried, side = field.map.copy(), float(field.features.max())
     target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
-    motion = relative(field.pose, target) + w.sigma * rng.standard_normal(3)
-    carried.predict(Odometry(motion, np.diag(w.sigma**2)))
-    spurious = round(w.spurious * m)
+    motion = relative(field.pose, target) + sigma * rng.standard_normal(3)
+    carried.predict(Odometry(motion, np.diag(sigma**2)))
+    spurious = round(fraction * m)
     reach = math.sqrt(2.0 * (m - spurious) / DETECTION / (math.tau * DENSITY))
     seen = features_in_view(field.features, target, 1.5 * reach)
     seen = seen[rng.random(len(seen)) < DETECTION]
@@ -113,19 +109,14 @@ def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
 def compare(scans: list[ClosureScan]) -> list[Record]:
     """The accuracy and time [µs] of every search on the same scans."""
     rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
-    truth = np.concatenate([one.truth for one in scans])
     for name, search in ASSOCIATORS.items():
         if name == CEILING:
             continue
-        answers = [search(one.scan, one.prediction).features for one in scans]
-        features = np.concatenate(answers)
-        right = int(((features == truth) & (truth != UNPAIRED)).sum())
+        judged = association_record([search(one.scan, one.prediction) for one in scans], [one.truth for one in scans])
         times = np.array([fastest(search, one.scan, one.prediction) for one in scans])
         rows.append({
             "search": name,
-            "exact": np.mean([np.array_equal(answer, one.truth) for answer, one in zip(answers, scans)]),
-            "recall": right / max(int((truth != UNPAIRED).sum()), 1),
-            "precision": right / max(int((features != UNPAIRED).sum()), 1),
+            **{name: judged[name] for name in ("exact", "recall", "precision")},
             "median µs": np.median(times),
             "95 %": np.quantile(times, 0.95),
             "× JCBB": np.median(times / of_jcbb),
@@ -138,10 +129,10 @@ def main() -> None:
     rng = np.random.default_rng(a.seed)
     n, scans = (30, 3) if a.quick else (a.features, a.scans)
     field = mapped_field(n, rng)
-    for workload in (LOOP, TRACKING):
+    for workload in WORKLOADS:
         drawn = [closure_scan(field, 20, workload, rng) for _ in range(scans)]
         each = np.mean([len(individual(one.scan, one.prediction).slots) / 20 for one in drawn])
-        table(f"{workload.name}, 20 × {n}, {each:.1f} candidates each", compare(drawn))
+        table(f"{workload}, 20 × {n}, {each:.1f} candidates each", compare(drawn))
 
 
 if __name__ == "__main__":

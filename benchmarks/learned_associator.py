@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,16 +23,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pandas as pd
+from gymnasium.wrappers import TransformObservation
 
-from agents.drivers.baselines import InformationGain
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
+from agents.evaluation.drives import associator_evaluation
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.pipeline import carry_out
 from agents.learning.policies import HYPERPARAMETERS
 from agents.learning.training import WEIGHTS, train
-from agents.options import DRIFTING, Training
+from agents.options import DRIFTING, Execution, Training
 from benchmarks.common import Record, options, table
 from slam_gym import weights
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
-from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION, walk_by
+from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
 from slam_gym.metrics.statistics import mean, paired_difference
 
 SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
@@ -55,20 +58,12 @@ class Variant(AssociateArguments):
 
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
         env = super().make(action)
-        env = _Hides(env, self.columns) if self.hidden else env
+        env = TransformObservation(env, self._without_hidden, env.observation_space) if self.hidden else env
         return _PaysPerScan(env) if self.per_scan else env
 
-
-class _Hides(gym.ObservationWrapper[Any, Any, Any]):
-    """Sets columns of the candidates to 0."""
-
-    def __init__(self, env: gym.Env[Any, Any], columns: list[int]) -> None:
-        super().__init__(env)
-        self._columns = columns
-
-    def observation(self, observation: Any) -> Any:
+    def _without_hidden(self, observation: Any) -> Any:
         rows = observation["candidates"].reshape(-1, len(CANDIDATE_FIELDS)).copy()
-        rows[:, self._columns] = 0.0
+        rows[:, self.columns] = 0.0
         return observation | {"candidates": rows.ravel()}
 
 
@@ -121,28 +116,17 @@ def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
     return path
 
 
-def driven(path: Path, scenarios: tuple[str, ...], worlds: int) -> Iterator[Record]:
-    """One row for each drive in which the associator has these weights."""
-    for scenario in scenarios:
-        arguments = ExploreArguments(scenario, split="train", relocation=None)
-        for world in range(FIRST_WORLD, FIRST_WORLD + worlds):
-            env = arguments.make("goal", associator=walk_by(path))
-            record = run_episode(env, InformationGain(), world)
-            measures = ("map_error", "precision", "recall", "duplicates")
-            yield {"scenario": scenario, "world": world} | {name: record[name] for name in measures}
-
-
 def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]:
     """Of each variant and scenario the means, and the paired difference of the map error to the first variant."""
-    keys, measures = ["seed", "world"], ["map_error", "precision", "recall", "duplicates"]
-    for scenario, group in drives.groupby("scenario", sort=False):
+    for scenario, group in drives.groupby("setting", sort=False):
         first = None
         for variant, rows in group.groupby("variant", sort=False):
-            errors = rows.sort_values(keys).pivot(index="world", columns="seed", values="map_error").mean(axis=1)
+            errors = rows.groupby("episode")["map_error"].mean()
             first = errors if first is None else first
             gap = paired_difference(errors.to_numpy(), first.to_numpy(), rng, statistic=mean)
             difference = "" if first is errors else f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
-            yield {"scenario": scenario, "variant": variant, **rows[measures].mean(), "difference [95 %]": difference}
+            means = rows[["map_error", "precision", "recall", "duplicates"]].mean()
+            yield {"scenario": scenario, "variant": variant, **means, "difference [95 %]": difference}
 
 
 def main() -> None:
@@ -151,15 +135,17 @@ def main() -> None:
         out = Path(a.out or stack.enter_context(TemporaryDirectory()))
         names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
         timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
-        found = []
-        for name in names:
-            for seed in range(a.seed, a.seed + seeds):
-                folder = out / name.replace(" ", "-") / str(seed)
-                path = trained(VARIANTS[name], seed, timesteps, folder)
-                if not (folder / "drives.csv").exists():
-                    pd.DataFrame(driven(path, scenarios, worlds)).to_csv(folder / "drives.csv", index=False)
-                found.append(pd.read_csv(folder / "drives.csv").assign(variant=name, seed=seed))
-        table("Drives of train worlds", list(compared(pd.concat(found), np.random.default_rng(a.seed))))
+        variants = {}  # of the files of weights
+        for name, seed in product(names, range(a.seed, a.seed + seeds)):
+            path = trained(VARIANTS[name], seed, timesteps, out / name.replace(" ", "-") / str(seed))
+            variants[str(path)] = name
+        loops = [ExploreArguments(name, split="train") for name in scenarios]
+        numbers = range(FIRST_WORLD, FIRST_WORLD + worlds)
+        evaluation = associator_evaluation(list(variants), loops, "information_gain", numbers, [None])
+        drives = out / "drives"
+        frame = carry_out(evaluation, drives, Execution(resume=drives.exists())).frame
+        frame = frame.assign(variant=frame["name"].map(variants))
+        table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))
 
 
 if __name__ == "__main__":

@@ -31,12 +31,12 @@ NEAR = Tolerance(1.0, math.radians(5.0))  # around the pose by the true pairings
 LARGEST = 3_200  # features of a map that is searched without a locality
 
 
-def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Relocator]:
+def searches(*, rivals: bool) -> dict[str, Relocator]:
     """GCBB, with or without the search for rivals, and RS, by their names in the tables."""
     return {
-        "GCBB": functools.partial(gcbb, confidence=confidence, rivals=rivals),
-        "GCBB, outwards": functools.partial(gcbb, confidence=confidence, rivals=rivals, outwards=True),
-        "RS": functools.partial(random_sampling, confidence=confidence),
+        "GCBB": functools.partial(gcbb, rivals=rivals),
+        "GCBB, outwards": functools.partial(gcbb, rivals=rivals, outwards=True),
+        "RS": random_sampling,
     }
 
 
@@ -144,7 +144,7 @@ def main() -> None:
     scans, judged, largest = (2, 4, 100) if a.quick else (a.scans, a.judged, a.largest)
     sizes = [n for n in (50, 100, 200, 400, 800, 1600, 3200, 6400, 12_800) if n <= largest]
     names = [name for name in LOCALITIES if name != "joined maps"]  # only its losses are shown
-    attempts, localities = sweep(searches(), names, sizes, 8, scans, a.seed)
+    attempts, localities = sweep(searches(rivals=False), names, sizes, 8, scans, a.seed)
     table("Localities; hypotheses of the unpruned tree (m = 8), fractions of the truth that are lost", localities)
     means = attempts.groupby(["search", "locality", "n"], sort=False).mean(numeric_only=True).reset_index()
     shown = ["nodes", "pairing tests", "ms", "pairings found", "all found", "right", "limit hit"]

@@ -105,10 +105,9 @@ def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> P
 
 def into_map(optimum: Smoothed, mapped: HalfMap, pose: Array, reach: float) -> Array:
     """The pose (3,) of the reference frame in the frame of the map, by alignment of the trunks around `pose`."""
-    place = dict(zip(optimum.ids.tolist(), optimum.positions))
-    known = np.array([row for row, source in enumerate(mapped.sources.tolist()) if source in place])
-    there = np.array([place[source] for source in mapped.sources[known].tolist()])
-    here, inliers = mapped.positions[known], np.ones(len(known), bool)
+    known = np.isin(mapped.sources, optimum.ids)
+    there = optimum.positions[np.searchsorted(optimum.ids, mapped.sources[known])]
+    here, inliers = mapped.positions[known], np.ones(len(there), bool)
     for _ in range(5):
         errors = np.hypot(*(transform(align_se2(there[inliers], here[inliers]), there) - here).T)
         inliers = errors < max(MISLABELLED, 2.0 * float(np.median(errors)))

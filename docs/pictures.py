@@ -183,8 +183,9 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
     pairing."""
     panels: list[Image.Image] = []
 
-    def watch(episode: Any) -> None:
-        if episode.ticks % every and episode.ticks != len(speeds):
+    def watch(env: Any) -> None:
+        episode = env.episode
+        if not episode.ticks or (episode.ticks % every and episode.ticks != len(speeds)):
             return
         figure, ax = plt.subplots(figsize=(4.4, 3.3), dpi=100)
         figure.subplots_adjust(0.01, 0.01, 0.99, 0.87)
