@@ -57,7 +57,7 @@ AGENTS: dict[str, str] = {
     "information_gain_no_revisits": "agents.drivers.baselines:InformationGainNoRevisits",
     "learned": "agents.drivers.learned:LearnedDriver",
     "clairvoyant": "agents.drivers.clairvoyant:Clairvoyant",
-    "ppo": "agents.learning.models:PolicyAgent",
+    "ppo": "agents.learning.policies:PolicyAgent",
 }
 
 BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")

@@ -92,8 +92,7 @@ def rates(goals: dict[str, Array]) -> Array:
     """(k,) [m² per tick] by which each of the goals from `unsquash_goals` reduces the uncertainty of the map."""
     ticks = OVERHEAD + goals["path"] / SPEED
     ticks[LOOK_AROUND] = LOOK
-    out: Array = (2.0 * PRIOR_SIGMA**2 * DENSITY * goals["area"] + goals["reduction"]) / ticks
-    return out
+    return (2.0 * PRIOR_SIGMA**2 * DENSITY * goals["area"] + goals["reduction"]) / ticks
 
 
 class InformationGain(GoalDriver):

@@ -94,9 +94,8 @@ class Clairvoyant(GoalDriver):
 def mapped_already(episode: Episode) -> Bits:
     """The features that the map contains."""
     mapped = np.zeros(len(episode.site.plan.features), np.bool_)
-    for part in episode.slam.maps:
-        sources = episode.identities.source_of(part.ids[~part.provisional])
-        mapped[sources[sources >= 0]] = True
+    sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in episode.slam.maps]))
+    mapped[sources[sources >= 0]] = True
     return bits_of(mapped)
 
 
@@ -183,8 +182,7 @@ class TrueViews:
 
     def nearest(self, points: Array) -> IntArray:
         """(q,) indices of the cells nearest to `points` (q, 2) in W."""
-        out: IntArray = ((self.cells[None] - points[:, None]) ** 2).sum(axis=2).argmin(axis=1)
-        return out
+        return ((self.cells[None] - points[:, None]) ** 2).sum(axis=2).argmin(axis=1)
 
 
 def bits_of(chosen: BoolArray) -> Bits:

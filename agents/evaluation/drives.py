@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -78,15 +79,12 @@ def driver_evaluation(
 ) -> Evaluation:
     """The evaluation of every driver in every episode of every loop. Loads the models, and raises ValueError for
     unknown names."""
-    tasks, actions = [], sorted({driver.make().action for driver in drivers})
-    for loop in loops:
-        for action in actions:
-            _warm_up(loop.make(action), episodes[0])
-        setting = world_of(loop.plain)
-        tasks += [
-            Task([Key(driver.agent, setting, k, driver.model)], partial(drive, driver, loop, None, k))
-            for k in episodes for driver in drivers
-        ]  # fmt: skip
+    for loop, action in product(loops, sorted({driver.make().action for driver in drivers})):
+        _warm_up(loop.make(action), episodes[0])
+    tasks = [
+        Task([Key(driver.agent, world_of(loop.plain), k, driver.model)], partial(drive, driver, loop, None, k))
+        for loop, k, driver in product(loops, episodes, drivers)
+    ]
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
     several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}
     return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models})
@@ -102,7 +100,7 @@ def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
 def _describe(model: Path) -> dict[str, Any]:
     """The hash of a model file, and its description of the training."""
     known: dict[str, Any] = {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
-    from agents.learning.models import read_about  # imports torch, which only learned agents need
+    from agents.learning.policies import read_about  # imports torch, which only learned agents need
 
     try:
         about = read_about(model)
@@ -136,12 +134,11 @@ def associator_evaluation(
     """
     names, fixed_driver, tasks = contenders(associators, relocations), Driver(driver), []
     for loop in loops:
-        _loop(loop, _agent(fixed_driver).action, associators[0])
+        _loop(loop, _agent(fixed_driver).action, associators[0])  # raises for unknown names
+    for loop, k, (name, (associator, relocation)) in product(loops, episodes, names.items()):
         setting = world_of(loop.plain)
-        for k in episodes:
-            for name, (associator, relocation) in names.items():
-                picture = map_path(out, setting, name) if out and k == episodes[0] else None
-                call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
-                tasks.append(Task([Key(name, setting, k)], call))
+        picture = map_path(out, setting, name) if out and k == episodes[0] else None
+        call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
+        tasks.append(Task([Key(name, setting, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)

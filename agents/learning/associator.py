@@ -156,7 +156,7 @@ def tensors(network: Network) -> Network:
 
 def odds_of(network: Network, batch: Batch, most: float = math.inf) -> Tensor:
     """(C,) log odds of each pairing by a network of tensors, limited to ±`most`."""
-    net: NamedTuple = network
+    net: Any = network
     given = (batch.inputs - net.centre) / net.scale
     x = given.clamp(-FARTHEST, FARTHEST)
     hidden = torch.relu(x @ net.first.T + net.first_offset)
@@ -181,7 +181,6 @@ class Batch(NamedTuple):
 
     @classmethod
     def of(cls, scans: Sequence[Decisions]) -> Batch:
-        """The batch of some examples."""
         sizes = np.array([(len(d.measured), len(d.known), d.slots.max() + 1) for d in scans])
         ends = sizes.cumsum(axis=0)
         pairings, measurements, slots = (ends - sizes).T

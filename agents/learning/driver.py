@@ -104,16 +104,14 @@ class Examples(NamedTuple):
 
     @property
     def tokens(self) -> Tokens:
-        """The input of the network."""
         return Tokens(*self[:4])
 
     @classmethod
     def joined(cls, parts: Sequence[Examples]) -> Examples:
-        """All states, in order."""
         return cls(*(np.concatenate(columns) for columns in zip(*parts)))
 
     def batch(self, rows: Array) -> Examples:
-        """The states `rows`, as tensors."""
+        """The states `rows` (b,), as tensors."""
         fields, gaps, greedy, legal, values = (torch.as_tensor(part[rows]) for part in self)
         return Examples(fields.float(), gaps.float(), greedy.float(), legal, values.float())  # type: ignore[arg-type]
 
@@ -200,5 +198,4 @@ def regret_of(scored: Array, examples: Examples) -> Array:
     """(n,) [.01 E] by how much the goal of the highest score (n, k) is worse than the best goal."""
     values = np.where(examples.legal, examples.values, -np.inf)
     chosen = np.where(examples.legal, scored, -np.inf).argmax(axis=1)
-    out: Array = values.max(axis=1) - values[np.arange(len(values)), chosen]
-    return out
+    return values.max(axis=1) - values[np.arange(len(values)), chosen]

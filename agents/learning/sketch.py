@@ -9,20 +9,22 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, Observation
 from slam_gym.envs.observation import encode_goals
-from slam_gym.geometry import compose, observe, wrap_angle
+from slam_gym.geometry import compose, observe, wrap_angles
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.pursuit import points_ahead
+from slam_gym.navigation.pursuit import next_stretch, points_ahead
 from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import WORTH_SEEING, Places, Tried, propose
-from slam_gym.types import Array, Beams, BoolArray
-from slam_gym.world.ray_casting import WallIndex, pull_back
+from slam_gym.types import Array, BoolArray
+from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.sensor import Sensor
 
 STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
 TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for a corner of a path, without the first so many [rad]
@@ -37,12 +39,12 @@ class Sketch:
 
     def __init__(self, episode: Episode, budget: int) -> None:
         self.budget, self.ticks = budget, 0
-        self._begun, beams = episode, episode.scenario.beams
-        self._radius = episode.scenario.robot.radius
-        self._bearings = beams.field_of_view / beams.count * (np.arange(beams.count) + 0.5 * (1 - beams.count))
-        self._pull_backs = pull_back(episode.site.plan.features)
-        self._walls = WallIndex(np.concatenate([episode.site.plan.walls, episode.world.furniture_segments]))
-        self._sightings = np.zeros(len(episode.site.plan.features), np.int64)
+        self._begun, scenario, plan = episode, episode.scenario, episode.site.plan
+        walls = WallIndex(np.concatenate([plan.walls, episode.world.furniture_segments]))
+        perfect = replace(scenario.sensor, detection=1.0, clutter=0.0, max_features=len(plan.features))
+        self._sensor = Sensor(plan, walls, perfect, replace(scenario.beams, sigma=0.0))
+        self._noise = np.random.default_rng(0)  # of the measured positions, which are not used
+        self._sightings = np.zeros(len(plan.features), np.int64)
         side, shape = episode.grid.resolution, np.array(episode.grid.cells.shape[::-1])
         self._grid = ExploredGrid(np.concatenate([episode.grid.origin, episode.grid.origin + side * shape]), side)
         self._tried, self._looked = Tried(), Tried()
@@ -51,10 +53,8 @@ class Sketch:
 
     def fork(self) -> Sketch:
         """An independent copy, which continues from here."""
-        other = copy.copy(self)
-        other._grid, other._sightings = copy.deepcopy(self._grid), self._sightings.copy()
-        other._tried, other._looked = copy.deepcopy(self._tried), copy.deepcopy(self._looked)
-        return other
+        unchanging = self._begun, self._sensor, self.goals
+        return copy.deepcopy(self, {id(part): part for part in unchanging})
 
     @property
     def over(self) -> bool:
@@ -68,8 +68,7 @@ class Sketch:
     @property
     def _mapped(self) -> BoolArray:
         """(N,) the features that were in sight often enough to be mapped."""
-        out: BoolArray = self._sightings * STRETCH >= self._begun.scenario.slam.map.confirmations
-        return out
+        return self._sightings * STRETCH >= self._begun.scenario.slam.map.confirmations
 
     @property
     def legal(self) -> BoolArray:
@@ -107,15 +106,9 @@ class Sketch:
     def _look(self, here: Array) -> None:
         """Move to a pose (3,) in B, and sense there."""
         self._here, pose = here, compose(self._begun.base, here)
-        sensor, features = self._begun.scenario.sensor, self._begun.site.plan.features.positions
-        dx, dy = (features - pose[:2]).T
-        distances, turns = np.hypot(dx, dy), np.arctan2(dy, dx) - pose[2]
-        ahead = np.abs(np.remainder(turns + math.pi, math.tau) - math.pi) <= 0.5 * sensor.field_of_view
-        near = np.flatnonzero((sensor.min_range <= distances) & (distances <= sensor.range) & ahead)
-        self._sightings[near[self._walls.visible(pose[:2], features[near], self._pull_backs[near])]] += 1
-        reach = self._begun.scenario.beams.range
-        ranges = self._walls.cast(pose[:2], pose[2] + self._bearings, reach)
-        self._grid.integrate(here, Beams(self._bearings, ranges, reach))
+        _, truth = self._sensor.scan(pose, self._noise)
+        self._sightings[truth.sources] += 1
+        self._grid.integrate(here, self._sensor.beams(pose, self._noise))
 
     def _look_around(self) -> None:
         self._looked.add(self._here[:2])
@@ -125,7 +118,8 @@ class Sketch:
                 self._look(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
 
     def _drive(self, goal: Array) -> None:
-        asked, path, seen = goal, way_to(self._grid, self._radius, self._here[:2], goal, self.goals.ways), False
+        asked, radius, seen = goal, self._begun.scenario.robot.radius, False
+        path = way_to(self._grid, radius, self._here[:2], goal, self.goals.ways)
         while len(path) > 1 and not self.over and math.dist(self._here[:2], goal) >= ARRIVED:
             for _ in range(REPLAN):
                 if len(path) > 1 and not self.over and math.dist(self._here[:2], path[-1]) >= ARRIVED:
@@ -133,33 +127,24 @@ class Sketch:
             if len(path) > 1:
                 reach = self._begun.scenario.beams.range
                 seen = bool(self._grid.expected_area(goal[None], reach)[0] < WORTH_SEEING)
-                path = path[:0] if seen else self._still_open(path, goal)
+                if seen:
+                    path = path[:0]
+                elif not is_free(self._grid, points_ahead(path, path[0], APART)):  # a new wall is in the way
+                    path = way_to(self._grid, radius, self._here[:2], goal)
                 goal = path[-1] if len(path) else goal
         if not seen and not self.over:
             self._tried.add(asked)
 
     def _stretch(self, path: Array) -> Array:
         """Drive one stretch along a path (p, 2), p ≥ 2, that begins here, and sense at its end; returns the rest."""
-        (x, y, heading), left, turned = self._here.tolist(), STRETCH * SPEED, 0.0
-        while left > 1e-9 and len(path) > 1:
-            dx, dy = float(path[1, 0]) - x, float(path[1, 1]) - y
-            length = math.hypot(dx, dy)
-            if length > 1e-6:
-                before, heading = heading, math.atan2(dy, dx)
-                turned += max(0.0, abs(wrap_angle(heading - before)) - FREE_TURN)
-                part = min(1.0, left / length)
-                x, y, left = x + part * dx, y + part * dy, left - part * length
-            if left > 1e-9:
-                path = path[1:]
-        self.ticks += STRETCH + round(TURN * turned)
-        self._look(np.array([x, y, heading]))
-        return np.concatenate([self._here[None, :2], path[1:]])
-
-    def _still_open(self, path: Array, goal: Array) -> Array:
-        """The path or, where a new wall blocks it, another one to the goal or near it; (0, 2) where there is none."""
-        if is_free(self._grid, points_ahead(path, path[0], APART)):
-            return path
-        return way_to(self._grid, self._radius, self._here[:2], goal)
+        driven, rest = next_stretch(path, path[0], STRETCH * SPEED)
+        dx, dy = np.diff(driven, axis=0).T
+        legs = np.hypot(dx, dy) > 1e-6
+        headings = np.array([self._here[2], *np.arctan2(dy[legs], dx[legs])])
+        turns = np.abs(wrap_angles(np.diff(headings)))
+        self.ticks += STRETCH + round(TURN * np.maximum(0.0, turns - FREE_TURN).sum())
+        self._look(np.array([*driven[-1], headings[-1]]))
+        return np.concatenate([driven[-1:], rest])
 
 
 def missed_by(sketch: Sketch, policy: Policy, first: int) -> float:

@@ -1,7 +1,8 @@
 """Reinforcement learning: environments in parallel, PPO, watched on held-out worlds, resumable.
 
 A training writes into a folder: model.zip (the last weights), best_model.zip (the best on held-out worlds),
-checkpoints/, progress.csv, TensorBoard logs; and of an associator associator.npz, its last weights as plain arrays.
+checkpoints/ (--resume continues from the last), progress.csv, TensorBoard logs (`tensorboard --logdir DIR`); and of an
+associator associator.npz, its last weights as plain arrays.
 """
 
 from __future__ import annotations
@@ -28,15 +29,17 @@ from threadpoolctl import threadpool_limits
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import command_line, plain, versions
 from agents.learning.cloning import clone
-from agents.learning.models import About, branch_weights, read_about
 from agents.learning.policies import (
     CHOICES,
     HYPERPARAMETERS,
     LAST,
+    About,
     Decision,
     Hyperparameters,
+    branch_weights,
     load_hyperparameters,
     make_algorithm,
+    read_about,
 )
 from agents.options import Training
 from slam_gym import weights
@@ -51,6 +54,8 @@ LOGGED = {"goal": ("map_error", "coverage"), "twist": ("map_error", "coverage"),
 
 ASTRAY = 0.7  # [m] of a robot from where it believes to be, which ends an episode of association in training
 
+Arguments = ExploreArguments | AssociateArguments
+
 MODEL, WEIGHTS, CHECKPOINTS = "model.zip", "associator.npz", "checkpoints"
 _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
 
@@ -58,8 +63,8 @@ _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resume
 class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
     """Resets go through the same few held-out worlds, again and again."""
 
-    def __init__(self, env: gym.Env[Any, Any], count: int) -> None:
-        super().__init__(env)
+    def __init__(self, decision: Decision, arguments: Arguments, count: int) -> None:
+        super().__init__(make(decision, replace(arguments, split="test")))
         self._count, self._next = count, 0
 
     def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
@@ -82,9 +87,6 @@ class EndsAstray(gym.Wrapper[Any, Any, Any, Any]):
             error = compose(run.base, run.estimates[-1]) - run.world.pose
             truncated |= bool(np.hypot(error[0], error[1]) > ASTRAY)
         return observation, reward, terminated, truncated, info
-
-
-Arguments = ExploreArguments | AssociateArguments
 
 
 def make(decision: Decision, arguments: Arguments, scale: float | None = None) -> gym.Env[Any, Any]:
@@ -126,7 +128,7 @@ def train(
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower
     threadpool_limits(1)
-    watched = DummyVecEnv([partial(_held_out, decision, each, training.eval_episodes) for each in worlds])
+    watched = DummyVecEnv([partial(HeldOutWorlds, decision, each, training.eval_episodes) for each in worlds])
     known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
     about = About.of(
         watched.envs[0], decision, hyper, plain(known | {"command": command_line(), "versions": versions()})
@@ -157,10 +159,6 @@ def train(
             envs.close()
         watched.close()
     return out / MODEL
-
-
-def _held_out(decision: Decision, arguments: Arguments, count: int) -> gym.Env[Any, Any]:
-    return HeldOutWorlds(make(decision, replace(arguments, split="test")), count)
 
 
 def _watch(out: Path, about: About, training: Training, held_out: VecEnv, start: int) -> EvalCallback:
