@@ -1,8 +1,4 @@
-"""`slam-gym evaluate`: evaluates drivers on the same test worlds.
-
-The command writes into its folder: results.csv (one row per episode), results.json (conditions and versions),
-report.html and films/.
-"""
+"""`slam-gym evaluate`: evaluates drivers on the same test worlds, with a report and films."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
 """`slam-gym evaluate-association` runs each associator in the loop on the same test worlds; `--suite` evaluates them on
-the same scans, with one number per capability; `--recording` runs them over a real log.
-
-The command writes into its folder: results.csv (one row per episode), results.json (conditions and versions),
-report.html, and with --film films/side-by-side.mp4.
+the same scans, with one number per capability; `--recording` runs them over a real log. All write a report.
 """
 
 from __future__ import annotations
@@ -43,7 +40,6 @@ class Candidates:
 
     @property
     def names(self) -> list[str]:
-        """The names of the associators."""
         from agents.evaluation.associators import SHIPPED
 
         return self.associators or list(SHIPPED)

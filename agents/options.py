@@ -76,7 +76,6 @@ class Episodes:
     seed: Annotated[int, Option(min=0, metavar="K", help="First episode; episode k is world k with seed k.")] = 0
 
     def range(self, default: int) -> range:
-        """The numbers of the episodes."""
         return range(self.seed, self.seed + (self.episodes or default))
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from agents.drivers.base import ActionKind, Agent, Info, Observation
     from agents.evaluation.episodes import ExploreArguments
     from slam_gym.association.prediction import Prediction
+    from slam_gym.rendering.canvas import Window
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
@@ -89,26 +90,18 @@ class Controls:
         return wish
 
 
-class Screen:
-    """A resizable window with the environment's picture, and lines of text below it."""
+def show(window: Window, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
+    """Show the environment's picture (h, w, 3) in a window, and lines of text below it, the last one pale."""
+    from slam_gym.rendering.canvas import pygame, text  # extra `render`
 
-    def __init__(self, fps: float) -> None:
-        from slam_gym.rendering.canvas import Window  # extra `render`
-
-        self.window = Window("slam_gym", fps)
-
-    def show(self, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
-        """Show a picture (h, w, 3); the last line is pale."""
-        from slam_gym.rendering.canvas import pygame, text
-
-        height, width, _ = pixels.shape
-        surface = pygame.Surface((width, height + _LINE * (len(lines) + 1)), depth=32)
-        surface.fill(_BAR)
-        surface.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
-        for k, line in enumerate(lines):
-            colour = _PALE if k == len(lines) - 1 else _INK
-            surface.blit(text(line, 13, colour), (_LINE // 2, height + _LINE // 2 + k * _LINE))
-        self.window.show(surface)
+    height, width, _ = pixels.shape
+    surface = pygame.Surface((width, height + _LINE * (len(lines) + 1)), depth=32)
+    surface.fill(_BAR)
+    surface.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
+    for k, line in enumerate(lines):
+        colour = _PALE if k == len(lines) - 1 else _INK
+        surface.blit(text(line, 13, colour), (_LINE // 2, height + _LINE // 2 + k * _LINE))
+    window.show(surface)
 
 
 @dataclass
@@ -128,7 +121,6 @@ class Game:
         return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
 
     def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        """The hypothesis of the selected associator."""
         from agents.evaluation.associators import find_associator
 
         return find_associator(self.associators[0])(scan, prediction)
@@ -156,7 +148,6 @@ class Game:
         return self.rivals[world]
 
     def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
-        """The text below the picture."""
         episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
         associator = self.associators[0] if self.associators else "true_association"
         relocation = "on" if self.relocating else "off"
@@ -167,7 +158,7 @@ class Game:
         return [state, *([verdict] if verdict else []), KEYS]
 
 
-def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
+def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: int | None = None) -> str:
     """Play one world; returns the request that ended it. After the last tick, the picture stays until a request."""
     from agents.drivers.base import visible
     from agents.evaluation.episodes import begin_episode
@@ -176,8 +167,8 @@ def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: 
     count, ended, verdict = 0, False, ""
     while True:
         picture: Any = env.render()
-        screen.show(picture, game.lines(env, verdict))
-        if count == 0 and not screen.window.is_visible:
+        show(window, picture, game.lines(env, verdict))
+        if count == 0 and not window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
         if count == steps:
             return "quit"
@@ -218,6 +209,7 @@ def main(
     """Drive the robot, or watch an agent drive."""
     from agents.drivers.base import make_agent
     from agents.evaluation.associators import SIMPLEST_FIRST
+    from slam_gym.rendering.canvas import Window
     from slam_gym.simulation.judged import CEILING
 
     watched = make_agent(agent, model) if agent else None
@@ -225,16 +217,16 @@ def main(
     probe: Any = arguments.make("twist").unwrapped  # raises for unknown names; contains the scenario's associator
     names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
-    env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
+    env, window = game.make(), Window("slam_gym", float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
     wish, world = "again", seed
     try:
         while wish != "quit":
             world += wish == "next"
-            wish = play(game, env, screen, world, steps)
+            wish = play(game, env, window, world, steps)
     finally:
         env.close()
-        screen.window.close()
+        window.close()
 
 
 app = command(main, "slam-gym play --scenario office-small --associator jcbb")

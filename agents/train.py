@@ -1,8 +1,6 @@
 """`slam-gym train drive` and `slam-gym train associate`: policies by reinforcement learning.
 
-Each writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/
-(--resume continues from the last), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`). `associate` also
-writes associator.npz, its last weights as plain arrays, which every command accepts as the name of an associator; in
+`agents.learning.training` lists their files. Every command accepts associator.npz as the name of an associator; in
 Python it is `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 """
 

@@ -24,9 +24,8 @@ import pandas as pd
 
 from agents.evaluation.associators import contenders, metered
 from agents.evaluation.pipeline import Evaluation, Key, Task
-from agents.evaluation.records import Record, stem, written_whole
+from agents.evaluation.records import Record, stem, write_whole
 from agents.options import Recorded
-from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.smoothing import smooth
 from slam_gym.metrics.association import Tally
@@ -84,8 +83,7 @@ def _close(times: Array, instants: Array) -> BoolArray:
     after = np.clip(np.searchsorted(times, instants), 0, len(times) - 1)
     before = np.where(times[after] == instants, after, np.maximum(after - 1, 0))
     within = (instants >= times[0]) & (instants <= times[-1])
-    close: BoolArray = within & (times[after] - times[before] <= MAX_GAP)
-    return close
+    return within & (times[after] - times[before] <= MAX_GAP)
 
 
 @dataclass(frozen=True)
@@ -102,8 +100,8 @@ class MappedLog:
     in_world: bool  # B is the frame W of the reference, since the reference gives the pose at the log's start
 
 
-def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
-    """Map a log with an associator, by name or itself; `relocation` is the search that relocates a lost robot.
+def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
+    """Map a log with an associator; `relocation` is the search that relocates a lost robot.
 
     With `true_association`, the map uses the identities as well: every labelled feature is added when it is first seen,
     without confirmation, and no other feature is. The remaining error is not caused by associations, and the robot is
@@ -119,15 +117,13 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)
     judged = JudgedSlam(slam, associate, informed=informed)
-    poses, covariances, seconds, ids, created = [], [], [], [], []
+    steps = []
     for odometry, scan, sources in log.steps():
         began = time.perf_counter()
         step = judged.step(odometry, scan, Truth(slam.map.pose, sources))
-        seconds.append(time.perf_counter() - began)
-        poses.append(slam.map.pose)
-        covariances.append(slam.map.pose_covariance)
-        ids.append(step.ids)
-        created.append(step.created)
+        seconds = time.perf_counter() - began
+        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, seconds))
+    poses, covariances, ids, created, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
@@ -140,7 +136,7 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
         "seen": m.seen, "x": m.positions[:, 0], "y": m.positions[:, 1], "variance_x": m.covariances[:, 0, 0],
         "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
-    effort = meter.effort() | {"seconds": sum(seconds), "step_microseconds": 1e6 * float(np.median(seconds))}
+    effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
     run = np.array(poses), np.array(covariances)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
@@ -271,8 +267,7 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
         f"{base}.errors.csv": compared.frame(),
     }
     for name, frame in frames.items():
-        with written_whole(folder / name) as partial:
-            frame.to_csv(partial, index=False, float_format="%.9g")
+        write_whole(folder / name, frame.to_csv(index=False, float_format="%.9g"))
 
 
 # -- the evaluation ---------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 import slam_gym
-from agents.evaluation.records import Record, command_line, plain, undamaged, versions, write_json, written_whole
+from agents.evaluation.records import Record, command_line, plain, undamaged, versions, write_json, write_whole
 from agents.options import Execution
 from slam_gym._files import content_of, json_of
 
@@ -74,12 +74,10 @@ class Results(NamedTuple):
 
     @property
     def conditions(self) -> dict[str, Any]:
-        """The conditions that all episodes share."""
         return dict(self.metadata["conditions"])
 
     @property
     def names(self) -> list[str]:
-        """The names of the evaluated agents or associators."""
         return list(self.frame["name"].unique())
 
 
@@ -122,8 +120,7 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int | None) -> Iterator
     # A worker grows when it first imports torch. loky takes this for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     parallel = joblib.Parallel(n_jobs=jobs or joblib.cpu_count(), return_as="generator_unordered", batch_size=1)
-    results: Iterator[Result] = parallel(joblib.delayed(_on_one_thread)(call) for call in calls)
-    return results
+    return parallel(joblib.delayed(_on_one_thread)(call) for call in calls)
 
 
 def _on_one_thread(call: Callable[[], Any]) -> Any:
@@ -168,8 +165,7 @@ def _read(folder: Path) -> Results | None:
 
 def _write_rows(out: Path, rows: Sequence[Record]) -> None:
     cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in row.items()} for row in rows]
-    with written_whole(out / TABLE) as partial:
-        pd.DataFrame(cells).set_index([*Key._fields]).to_csv(partial)
+    write_whole(out / TABLE, pd.DataFrame(cells).set_index([*Key._fields]).to_csv())
 
 
 def _key(row: Record) -> Key:

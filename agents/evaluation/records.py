@@ -42,15 +42,11 @@ def results_folder(name: str, resume: bool) -> Path:
     return folders[-1]
 
 
-@contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A temporary path to write to, which replaces `path` at the end; after an error, the old file remains intact.
-
-    Raises OSError, naming the file.
-    """
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file completely or not at all. Raises OSError, naming the file."""
     partial = path.with_name(path.name + ".partial")
     try:
-        yield partial
+        partial.write_text(text, encoding="utf-8", newline="")
         os.replace(partial, path)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
@@ -65,12 +61,6 @@ def undamaged(what: str | Path) -> Iterator[None]:
         yield
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ValueError(f"{what} is damaged ({type(error).__name__}: {error})") from error
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file completely or not at all."""
-    with written_whole(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="")
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -67,7 +67,6 @@ class EntryProcess:
         return EntryError(f"{' '.join(self._entry)}: {str(reason)[:300]}")
 
     def close(self) -> None:
-        """End the process."""
         process, self._process = self._process, None
         if process is not None and process.returncode is None:
             process.kill()
@@ -100,7 +99,6 @@ class EntryProcess:
             raise self.refuse("its answer is nonsense") from None
 
     async def _exchange(self, request: bytes) -> bytes:
-        assert self._process is not None and self._process.stdin is not None and self._process.stdout is not None
         if request:
             self._process.stdin.write(len(request).to_bytes(8, "little") + request)
             await self._process.stdin.drain()

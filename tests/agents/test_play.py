@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
-from agents.play import WISHES, Controls, Game, Screen, app, play
+from agents.play import WISHES, Controls, Game, app, play, show
 from slam_gym.types import UNPAIRED
 from tests.agents import typed
 from tests.rollouts import relocate
 
-pygame = pytest.importorskip("pygame")
+pygame, Window = pytest.importorskip("pygame"), pytest.importorskip("slam_gym.rendering.canvas").Window
 DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
 SMALL = ExploreArguments("office-small", split="train")
 
@@ -44,9 +44,9 @@ def play_with():
     def run(controls, steps, budget=300):
         arguments = ExploreArguments("office-small", (("budget", budget),), split="train")
         game = Game(arguments, controls, controls, deque(["jcbb", "nearest_neighbour"]), relocating=True)
-        env, screen = game.make(), Screen(1000.0)
-        open_now.extend((env, screen.window))
-        return play(game, env, screen, 0, steps), game, env
+        env, window = game.make(), Window("slam_gym", 1000.0)
+        open_now.extend((env, window))
+        return play(game, env, window, 0, steps), game, env
 
     yield run
     for each in open_now:
@@ -106,18 +106,18 @@ def test_an_agent_is_watched():
 
 
 @pytest.fixture
-def screen():
-    screen = Screen(1000.0)
-    screen.show(np.zeros((60, 300, 3), np.uint8), ["first", "last"])
-    yield screen
-    screen.window.close()
+def window():
+    window = Window("slam_gym", 1000.0)
+    show(window, np.zeros((60, 300, 3), np.uint8), ["first", "last"])
+    yield window
+    window.close()
 
 
 def post(kind, **fields):
     pygame.event.post(pygame.event.Event(kind, **fields))
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("window")
 def test_keys_and_sticks_drive_and_ask():
     controls = Controls()
     post(pygame.KEYDOWN, key=pygame.K_w)
@@ -137,8 +137,8 @@ def test_keys_and_sticks_drive_and_ask():
     np.testing.assert_array_equal(controls.act({}, {}), [0.0, 0.0])
 
 
-def test_the_picture_has_lines_below_it(screen):
-    screen.show(np.full((60, 300, 3), 200, np.uint8), ["tick 3 of 10", "keys"])
+def test_the_picture_has_lines_below_it(window):
+    show(window, np.full((60, 300, 3), 200, np.uint8), ["tick 3 of 10", "keys"])
     shown = pygame.surfarray.array3d(pygame.display.get_surface())
     assert shown.shape[0] == 300 and shown.shape[1] > 60 + 2 * 13
     assert (shown[:, :60] == 200).all() and shown[:, 70:].max() > 150 > shown[:, 70:].min()
