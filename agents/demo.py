@@ -45,16 +45,16 @@ def one_drive(scenario: str, world: int, **arguments: Any) -> Array:
 
 
 def mapped(
-    scenario: str, world: int, speeds: Array, *, watch: Callable[[Any], None] | None = None, **arguments: Any
+    scenario: str, world: int, speeds: Array, *, watch: Callable[[Any], None] = lambda episode: None, **arguments: Any
 ) -> Any:
-    """The episode with the same drive, odometry and scans, and another SLAM. Calls `watch(env)` after each scan."""
+    """The episode with the same drive, odometry and scans, and another SLAM. Calls `watch(episode)` after each scan."""
     arguments |= {"scenario": scenario, "action": "twist", "disable_env_checker": True}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
-    if watch is not None:
-        env.watch(watch)
     env.reset(seed=world, options={"world": world})
-    for speed in speeds:
-        env.step(speed)
+    watch(env.episode)
+    for speed in speeds.tolist():
+        env.episode.tick(*speed)
+        watch(env.episode)
     return env.episode
 
 

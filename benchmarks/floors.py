@@ -27,6 +27,7 @@ from agents.demo import mapped, one_drive
 from benchmarks.common import Record, options, table
 from benchmarks.drift_reference import batch_errors, sound
 from slam_gym.metrics.statistics import bootstrap_interval, mean
+from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.relocate import SEARCH
@@ -43,9 +44,9 @@ def replayed(arguments: dict[str, Any], seed: int, speeds: Array, associator: st
     """The measures of the map that an associator makes of a drive."""
     steps, lost = [], []
 
-    def record_scan(env: Any) -> None:
-        steps.append((env.episode.odometry, env.episode.scan, env.episode.last_step.ids))
-        lost.append(env.episode.slam.lost)
+    def record_scan(episode: Episode) -> None:
+        steps.append((episode.odometry, episode.scan, episode.last_step.ids))
+        lost.append(episode.slam.lost)
 
     search = None if associator == CEILING else SEARCH
     episode = mapped(SCENARIO, seed, speeds, watch=record_scan, associator=associator, relocation=search, **arguments)

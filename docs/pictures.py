@@ -183,8 +183,7 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
     pairing."""
     panels: list[Image.Image] = []
 
-    def watch(env: Any) -> None:
-        episode = env.episode
+    def watch(episode: Any) -> None:
         if not episode.ticks or (episode.ticks % every and episode.ticks != len(speeds)):
             return
         figure, ax = plt.subplots(figsize=(4.4, 3.3), dpi=100)
