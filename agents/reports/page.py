@@ -7,6 +7,7 @@ kind. Pictures are embedded in the page; films are separate files. The terminal 
 from __future__ import annotations
 
 import base64
+import importlib
 import io
 import json
 from collections.abc import Callable, Iterable, Sequence
@@ -58,10 +59,10 @@ class Page:
 
 def page_of(results: Results, folder: Path) -> Page:
     """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
-    from agents.reports.pages import drives_page, recordings_page, suite_page  # pages import this module
-
-    kind = results.metadata["kind"]
-    pages = {"drivers": drives_page, "associators": drives_page, "suite": suite_page, "recordings": recordings_page}
+    kind, pages = (
+        results.metadata["kind"],
+        importlib.import_module("agents.reports.pages").PAGES,
+    )  # it imports this module
     if kind not in pages:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
     with undamaged(f"results.csv or results.json of {folder}"):

@@ -301,3 +301,7 @@ def _pictures(log: str, names: pd.Series, folder: Path, colour: figures.Colours)
     maps = partial(figures.maps, errors, features, reference, landmarks, colour)
     over_time = partial(figures.errors_over_time, errors, colour)
     return [Picture(f"Maps over the reference, {log}", maps), Picture(f"Position errors over time, {log}", over_time)]
+
+
+PAGES = {"drivers": drives_page, "associators": drives_page, "suite": suite_page, "recordings": recordings_page}
+"""Kind of an evaluation → the function that makes its page from the results and their folder."""
