@@ -59,10 +59,8 @@ class Page:
 
 def page_of(results: Results, folder: Path) -> Page:
     """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
-    kind, pages = (
-        results.metadata["kind"],
-        importlib.import_module("agents.reports.pages").PAGES,
-    )  # it imports this module
+    kind = results.metadata["kind"]
+    pages = importlib.import_module("agents.reports.pages").PAGES  # which imports this module
     if kind not in pages:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
     with undamaged(f"results.csv or results.json of {folder}"):
