@@ -328,15 +328,13 @@ def _reference(room: str, about: str) -> str:
     blocks = []
     for name in _modules(room):
         blocks.append(f"::: {name}\n")
-        path = ROOT / name.replace(".", "/") / "__init__.py"
-        if path.is_file():  # names that a package only imports are documented where they are defined
-            blocks[-1] += f"    options:\n      members: {json.dumps(_defined(path))}\n"
+        if (ROOT / name.replace(".", "/")).is_dir():  # names that it only imports are documented where they are defined
+            blocks[-1] += f"    options:\n      members: {json.dumps(_defined(name))}\n"
     return _page(f"# {room}", f"{about}.", "\n".join(blocks))
 
 
-def _defined(path: Path) -> list[str]:
-    """The public classes, functions and annotated variables that a module itself defines."""
-    body = ast.parse(path.read_text(encoding="utf-8")).body
+def _defined(package: str) -> list[str]:
+    """The public classes, functions and documented constants that a package itself defines."""
+    body = ast.parse((ROOT / package.replace(".", "/") / "__init__.py").read_text(encoding="utf-8")).body
     names = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-    names += [n.target.id for n in body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]
-    return [name for name in names if not name.startswith("_")]
+    return [name for name in (*names, *_constants(package)) if not name.startswith("_")]

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _MODULES = (
-    "types.measured", "types.mapped", "types.decided", "association", "association.prediction",
+    "types", "association", "association.prediction",
     "mapping.stochastic_map", "mapping.smoothing", "slam.slam", "slam.local_maps", "slam.atlas", "slam.relocate",
     "scenarios", "recordings", "world.floor_plan",
 )  # fmt: skip

@@ -25,7 +25,7 @@ from slam_gym.mapping.measurement import BAD_ODOMETRY, BAD_SCAN, RowArrays, fore
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
-from slam_gym.types._fields import floats, kinds_of, quick, sizes_of
+from slam_gym.types._fields import floats, kinds_of, sizes_of
 from slam_gym.validation import check_scan
 
 Entry = TypeVar("Entry", bound=np.generic)
@@ -102,7 +102,6 @@ def visibility(expected: Expected, positions: Array, covariances: Array) -> Arra
     return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])[0]
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class Prediction:
     """What the stochastic map expects to measure from the predicted pose: the k features in reach, one per row.
@@ -294,7 +293,6 @@ class StartRule(Enum):
         return cls.FITS_NOTHING if hypothesis.new is None else cls.ASSOCIATOR
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class SlamStep:
     """What one SLAM step decided, in terms that remain valid after later steps.

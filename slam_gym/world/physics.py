@@ -16,7 +16,6 @@ import pymunk
 
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
-from slam_gym.types._fields import quick
 from slam_gym.validation import check_settings
 from slam_gym.world import driving
 from slam_gym.world.driving import RobotSpec
@@ -49,7 +48,6 @@ class DynamicsSpec:
         check_settings(self)
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class Motion:
     """The robot's motion in one tick."""
