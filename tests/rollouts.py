@@ -1,7 +1,7 @@
 """The environments made small, random episodes, single and vectorised, and a comparison of what they hand out."""
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +16,9 @@ from slam_gym.scenarios import Scenario, get_scenario
 
 SCENARIOS = ("office-small", "office", "aliased", "hall", "crowd")
 Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
+Choice = Callable[
+    [Any, dict[str, np.ndarray], dict[str, Any]], Any
+]  # from environment, observation and info to an action
 
 
 def bare(name: str, **options: Any) -> Any:
@@ -56,16 +59,29 @@ def random_action(env: gym.Env, info: dict[str, Any], rng: np.random.Generator) 
     return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5]), -1.0, 1.0).astype(np.float32)
 
 
-def episode(env: gym.Env, steps: int = 10**6, seed: int = 0, options: dict[str, Any] | None = None) -> Iterator[Step]:
-    """What reset (with reward 0) and then at most `steps` random steps hand out. Same arguments, same actions."""
+def at_random(seed: int | None) -> Choice:
+    """Random actions, the same for the same seed."""
     rng = np.random.default_rng(seed)
+    return lambda env, observation, info: random_action(env, info, rng)
+
+
+def episode(
+    env: gym.Env,
+    steps: int = 10**6,
+    seed: int | None = 0,
+    options: dict[str, Any] | None = None,
+    choose: Choice | None = None,
+) -> Iterator[Step]:
+    """What reset (with reward 0) and then at most `steps` steps hand out, with actions that are chosen at random or by
+    `choose`. Same arguments, same actions."""
+    choose = choose or at_random(seed)
     observation, info = env.reset(seed=seed, options=options)
     yield observation, 0.0, False, False, info
     terminated = False
     while steps > 0 and not terminated:
-        step = env.step(random_action(env, info, rng))
+        step = env.step(choose(env, observation, info))
         yield step
-        steps, terminated, info = steps - 1, step[2], step[4]
+        steps, (observation, _, terminated, _, info) = steps - 1, step
 
 
 def vector_rollout(envs: gym.vector.VectorEnv, steps: int) -> list:

@@ -19,7 +19,7 @@ from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.oracles import association as oracles
-from tests.rollouts import associate, differences, short
+from tests.rollouts import associate, differences, episode, short
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
 
@@ -31,24 +31,12 @@ def fixed_noise(_rng):
 WITH_FIXED_NOISE = replace(CORRIDOR, scans=fixed_noise)
 
 
-def episode(env, choose, seed=0, options=None, steps=10**6):
-    """What reset (with reward 0) and then at most `steps` steps hand out; `choose(env, info)` gives the actions."""
-    observation, info = env.reset(seed=seed, options=options)
-    yield observation, 0.0, False, False, info
-    over = False
-    while steps > 0 and not over:
-        step = env.step(choose(env, info))
-        yield step
-        steps, over, info = steps - 1, step[2], step[4]
-
-
-def at_random(seed):
-    rng = np.random.default_rng(seed)
-    return lambda env, info: int(rng.choice(np.flatnonzero(info["action_mask"])))
-
-
-def refuse(env, info):
+def refuse(env, observation, info):
     return env.K
+
+
+def by_truth(env, observation, info):
+    return env.K if info["truth"]["action"] == NOT_OFFERED else info["truth"]["action"]
 
 
 class Playing:
@@ -57,7 +45,7 @@ class Playing:
     def __init__(self, associator):
         self.associator, self.look, self.hypotheses, self.unplayable = associator, -1, [], 0
 
-    def __call__(self, env, info):
+    def __call__(self, env, observation, info):
         if env.walk is None:
             return env.K
         if info["look"] != self.look:
@@ -92,7 +80,7 @@ def test_bad_arguments_are_refused_by_name(options, message):
 
 @pytest.mark.parametrize("scenario", ["corridor", short(120), short(120, "crowd")])
 def test_refusing_everything_earns_exactly_nothing(scenario):
-    steps = list(episode(associate(scenario), refuse, seed=2))
+    steps = list(episode(associate(scenario), choose=refuse, seed=2))
     assert len(steps) > 50
     assert all(step[1] == 0.0 for step in steps)
     assert steps[-1][4]["score"] == 0.0
@@ -103,7 +91,7 @@ def test_the_return_ranks_nearest_neighbour_below_singles_below_jcbb():
     returns = {}
     for associator in (nearest_neighbour, singles, jcbb):
         players = [Playing(associator) for _ in range(6)]
-        episodes = [list(episode(env, player, seed=k)) for k, player in enumerate(players)]
+        episodes = [list(episode(env, choose=player, seed=k)) for k, player in enumerate(players)]
         assert sum(player.unplayable for player in players) == 0
         returns[associator] = np.array([(total(steps), steps[-1][4]["score"]) for steps in episodes])
     worst, middle, best = (returns[a].mean(axis=0) for a in (nearest_neighbour, singles, jcbb))
@@ -117,7 +105,7 @@ def test_the_return_ranks_nearest_neighbour_below_singles_below_jcbb():
 @pytest.mark.parametrize("compatibility", ["joint", "individual"])
 def test_answers_are_those_of_the_tally(scenario, compatibility):
     env = associate(scenario, compatibility=compatibility, wrong_cost=3.0)
-    for *_, last in episode(env, at_random(5), seed=5):
+    for *_, last in episode(env, seed=5):
         info = last
     tally = env.run.identities.total
     assert tally.fp > 10
@@ -126,8 +114,7 @@ def test_answers_are_those_of_the_tally(scenario, compatibility):
 
 def test_the_right_actions_are_right_and_earn_the_most():
     env = associate("corridor", candidates=8)
-    truth = lambda env, info: env.K if info["truth"]["action"] == NOT_OFFERED else info["truth"]["action"]  # noqa: E731
-    steps = list(episode(env, truth, seed=0))
+    steps = list(episode(env, choose=by_truth, seed=0))
     tally = env.run.identities.total
     assert tally.fp == 0
     assert total(steps) > 0.9
@@ -146,7 +133,7 @@ def test_the_right_actions_are_right_and_earn_the_most():
 def test_classical_associators_reach_the_same_map_through_the_environment(associator, compatibility):
     env = associate(WITH_FIXED_NOISE, compatibility=compatibility, candidates=10)
     player, direct = Playing(associator), Slam(CORRIDOR.slam)
-    for _ in episode(env, player):
+    for _ in episode(env, choose=player):
         pass
 
     def walked(scan, prediction):
@@ -169,7 +156,7 @@ def test_classical_associators_reach_the_same_map_through_the_environment(associ
 
 def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
     env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first"), [], []
-    for observation, *_ in episode(env, lambda env, info: greedy({}, info["action_mask"])):
+    for observation, *_ in episode(env, choose=lambda env, observation, info: greedy({}, info["action_mask"])):
         seen.append({name: vector for name, vector in observation.items() if name != "budget"})
 
     def policy(observation, mask):
@@ -186,7 +173,7 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
 @pytest.mark.parametrize("scenario", ["corridor", "office-small", short(150, "crowd")])
 def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     env, looks, hid = associate(scenario, candidates=2, compatibility="individual"), [], 0
-    for observation, reward, over, truncated, info in episode(env, at_random(1), seed=1):
+    for observation, reward, over, truncated, info in episode(env, seed=1):
         assert env.observation_space.contains(observation)
         assert type(reward) is float
         assert not truncated
@@ -208,7 +195,7 @@ def test_it_is_driven_on_a_floor_plan(tmp_path):
     path, plan = tmp_path / "two.json", OfficeGenerator(rooms=2)(np.random.default_rng(1))
     save_floor_plan(plan, path)
     env = associate("office-small", floor_plan=path, overrides={"budget": 20})
-    *_, last = episode(env, at_random(0))
+    *_, last = episode(env)
     assert last[2] and env.scenario.sensor == get_scenario("office-small").sensor
     np.testing.assert_array_equal(env.run.site.plan.walls, plan.walls)
     assert associate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor

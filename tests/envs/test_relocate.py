@@ -16,38 +16,23 @@ from slam_gym.simulation.relocation_problems import kidnap
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.oracles.relocation_walks import by_chance
-from tests.rollouts import bare, differences, relocate, short
+from tests.rollouts import at_random, bare, differences, episode, relocate, short
 
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
 SMALL = short(120)
 
 
-def episode(env, choose, seed=None, options=None):
-    """What reset (with reward 0) and then all steps hand out; `choose(observation, info)` gives the actions."""
-    observation, info = env.reset(seed=seed, options=options)
-    yield observation, 0.0, False, False, info
-    over = False
-    while not over:
-        observation, reward, over, truncated, info = env.step(choose(observation, info))
-        yield observation, reward, over, truncated, info
-
-
 def by(policy):
-    return lambda observation, info: policy(observation, info["action_mask"])
+    return lambda env, observation, info: policy(observation, info["action_mask"])
 
 
-def at_random(seed):
-    rng = np.random.default_rng(seed)
-    return lambda observation, info: int(rng.choice(np.flatnonzero(info["action_mask"])))
-
-
-def refuse(observation, info):
+def refuse(env, observation, info):
     return len(info["action_mask"]) - 2
 
 
-def by_truth(observation, info):
+def by_truth(env, observation, info):
     action = info["truth"]["action"]
-    return refuse(observation, info) if action == NOT_OFFERED else action
+    return refuse(env, observation, info) if action == NOT_OFFERED else action
 
 
 @pytest.mark.parametrize(
@@ -84,7 +69,7 @@ def test_the_truth_played_is_right_inside_and_refusing_is_right_outside():
     env.reset(seed=0)
     seen = {True: [], False: []}
     for _ in range(40):
-        steps = list(episode(env, by_truth))
+        steps = list(episode(env, choose=by_truth, seed=None))
         info = steps[-1][4]
         seen[info["truth"]["inside"]].append(info["score"]["right"])
         total = info["score"]["right"] - 0.01 * (info["nodes"] - steps[0][4]["nodes"])
@@ -99,14 +84,14 @@ def test_an_answer_is_judged_by_its_pose_and_by_the_tolerances():
     )
     believed = 0
     for seed in range(6):
-        *_, last = episode(env, by_truth, seed=seed)
-        *_, judged = episode(strict, by_truth, seed=seed)
+        *_, last = episode(env, choose=by_truth, seed=seed)
+        *_, judged = episode(strict, choose=by_truth, seed=seed)
         if last[4]["accepted"]:
             believed += 1
             assert (last[1], judged[1]) == (1.0, -3.0) and judged[4]["score"]["wrong"] == 1
         else:
             assert (last[1], judged[1]) == (0.0, 0.0)
-        *_, none = episode(env, refuse, seed=seed)
+        *_, none = episode(env, choose=refuse, seed=seed)
         assert none[1] == 0.0 and none[4]["score"] == {"right": 0, "wrong": 0, "nodes": none[4]["nodes"]}
     assert believed >= 4
 
@@ -140,7 +125,7 @@ def test_what_gcbb_finds_can_be_played_and_comes_to_the_same(name, locality):
 
 def test_a_policy_sees_as_a_relocator_what_it_sees_in_the_environment():
     env, seen, shown = relocate(short(250), order="nearest_first", sizes=False), [], []
-    for observation, *_ in episode(env, by(by_chance), seed=4):
+    for observation, *_ in episode(env, choose=by(by_chance), seed=4):
         seen.append(observation)
 
     def policy(observation, mask):
@@ -181,7 +166,7 @@ def test_info_has_fixed_keys_and_agrees_with_the_observation(options):
     env = relocate(**options)
     env.reset(seed=1)
     for _ in range(5):
-        for observation, _, terminated, _, info in episode(env, at_random(0)):
+        for observation, _, terminated, _, info in episode(env, choose=at_random(0), seed=None):
             assert env.observation_space.contains(observation)
             assert list(info) == INFO + ["score"] * terminated
             assert list(info["truth"]) == ["inside", "pose", "features", "action"]
@@ -213,14 +198,14 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
 
 def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
     env = relocate(short(250), outside=0.0)
-    honest = list(episode(env, by(by_chance), seed=2))
+    honest = list(episode(env, choose=by(by_chance), seed=2))
 
     def lie(*args):
         drawn = kidnap(*args)
         return replace(drawn, pose=drawn.pose + 5.0, features=drawn.features[::-1].copy(), inside=False)
 
     monkeypatch.setattr(module, "kidnap", lie)
-    lied_to = list(episode(env, by(by_chance), seed=2))
+    lied_to = list(episode(env, choose=by(by_chance), seed=2))
     for one, other in zip(honest, lied_to, strict=True):
         assert not differences(one[0], other[0])
         assert not differences({k: one[4][k] for k in INFO[:-1]}, {k: other[4][k] for k in INFO[:-1]})

@@ -15,19 +15,15 @@ from slam_gym.geometry import relative
 from slam_gym.recordings import save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
 from slam_gym.types import SPURIOUS, UNLABELLED
-from tests.envs.test_associate import Playing, at_random, episode, refuse, total
+from tests.envs.test_associate import Playing, by_truth, refuse, total
 from tests.recordings import drive
-from tests.rollouts import associate
+from tests.rollouts import associate, at_random, episode
 
 
 @pytest.fixture
 def arc(tmp_path) -> str:
     save(drive(), tmp_path / "arc.npz")
     return f"recording:{tmp_path / 'arc.npz'}"
-
-
-def truth(env, info):
-    return env.K if info["truth"]["action"] == SPURIOUS else info["truth"]["action"]
 
 
 def looks_of(log, seed):
@@ -89,21 +85,21 @@ def test_checkers_find_nothing_to_warn_of(arc) -> None:
 def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:
     for seed in range(5):
         env = associate(f"{arc}?looks=30", candidates=8)
-        steps = list(episode(env, refuse, seed=seed))
+        steps = list(episode(env, choose=refuse, seed=seed))
         assert all(step[1] == 0.0 for step in steps) and steps[-1][4]["score"] == 0.0
-        steps = list(episode(env, truth, seed=seed))
+        steps = list(episode(env, choose=by_truth, seed=seed))
         tally = env.run.identities.total
         assert tally.fp == 0 and tally.tp > 40
         assert steps[-1][4]["score"] == pytest.approx(tally.recall) and tally.recall > 0.9
         for player in (Playing(nearest_neighbour), Playing(jcbb), at_random(seed)):
-            assert total(episode(env, player, seed=seed)) <= total(steps)
+            assert total(episode(env, choose=player, seed=seed)) <= total(steps)
 
 
 def test_sources_that_nobody_knows_earn_nothing_and_spurious_ones_cost() -> None:
     for source, earns in ((UNLABELLED, 0.0), (SPURIOUS, -1.0)):
         log = drive()
         env = associate(windows(replace(log, sources=np.full_like(log.sources, source)), "train"), wrong_cost=2.0)
-        steps = list(episode(env, at_random(0)))
+        steps = list(episode(env))
         assert len(steps) > 100 and np.sign(total(steps)) == earns
         tally = env.run.identities.total
         assert (tally.fp_spurious > 50) == (source == SPURIOUS) and tally.fp == tally.fp_spurious and tally.tp == 0
@@ -114,7 +110,7 @@ def test_a_map_is_scored_against_the_landmarks_wherever_the_window_starts(arc) -
     errors = []
     for seed in range(5):
         env = associate(f"{arc}?looks=30", reward="map_error")
-        steps = list(episode(env, Playing(jcbb), seed=seed))
+        steps = list(episode(env, choose=Playing(jcbb), seed=seed))
         assert total(steps) == pytest.approx(steps[0][4]["map_error"] - steps[-1][4]["map_error"])
         errors.append(steps[-1][4]["map_error"])
     assert max(errors) < 0.9  # a map in another frame would be worse than none
@@ -126,7 +122,7 @@ def test_without_known_places_no_map_is_scored() -> None:
         with pytest.raises(ValueError, match="nobody knows where the features of 'arc' are; known: truth"):
             associate(log, reward="map_error")
         env = associate(log, render_mode="rgb_array")
-        for _, _, _, _, info in episode(env, at_random(0)):
+        for _, _, _, _, info in episode(env):
             assert info["map_error"] == 1.0
         assert env.render().shape == (720, 960, 3)
 
@@ -172,8 +168,8 @@ def test_victoria_park_ranks_nearest_neighbour_below_jcbb_below_the_truth(data_d
     env = associate(park, split="test", compatibility="individual", candidates=8)
     assert env.scenario.name == "victoria_park"
     returns = {}
-    for name, player in (("nn", Playing(nearest_neighbour)), ("jcbb", Playing(jcbb)), ("truth", truth)):
-        returns[name] = np.mean([total(episode(env, player, seed=seed)) for seed in range(4)])
+    for name, player in (("nn", Playing(nearest_neighbour)), ("jcbb", Playing(jcbb)), ("truth", by_truth)):
+        returns[name] = np.mean([total(episode(env, choose=player, seed=seed)) for seed in range(4)])
     assert returns["nn"] + 0.1 < returns["jcbb"] < 0.8 < returns["truth"] <= 1.0
 
 
@@ -181,4 +177,4 @@ def test_mrclam_is_set_6_of_the_robot_that_was_asked_for(data_dir, monkeypatch) 
     monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
     env = associate("recording:mrclam/3?looks=60", reward="map_error")
     assert env.scenario.name == "mrclam/MRCLAM_Dataset6/robot3" and env.scenario.targets.shape == (15, 2)
-    assert min(total(episode(env, truth, seed=seed)) for seed in range(4)) > 0.0
+    assert min(total(episode(env, choose=by_truth, seed=seed)) for seed in range(4)) > 0.0
