@@ -28,7 +28,7 @@ from slam_gym.association.prediction import Prediction, predict
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.mapping.locality import covisible
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.scenarios import SPLITS, world_generator, world_seed
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.episode import Site, survey
@@ -148,8 +148,7 @@ def problems(level: Level, world: int, count: int, split: str = "test") -> Itera
         noise, u = blind * laps.rng.standard_normal(3), stop.odometry
         lost = stop.slam.map.copy()
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
-        field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        sight = ViewsFrom(field, stop.grid.explored)
+        sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=stop.grid.explored)
         prediction = predict(lost, sensor.range, sight=sight, view_moves=False)
         yield Problem(stop.scan, prediction, stop.truth)
 

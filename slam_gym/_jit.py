@@ -72,20 +72,8 @@ def ready() -> int:
     return 0 if _config.DISABLE_JIT else sum(map(_signatures, _loops))
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, inline: bool = False) -> F:
     """numba.njit with IEEE arithmetic (no fastmath), so that results do not depend on optimisation."""
-    return _compiled(function, inline=False)
-
-
-def inlined(function: F) -> F:
-    """`compiled` for a small function of innermost loops, which is inlined into its callers. A call with a few arrays
-    pushes some forty numbers onto the stack: without inlining, conditioning a candidate of a tree takes two to four
-    times as long.
-    """
-    return _compiled(function, inline=True)
-
-
-def _compiled(function: F, inline: bool) -> F:
     folder, previous = _folder(), _config.CACHE_DIR
     _config.CACHE_DIR = str(folder or previous)  # where numba caches functions decorated now
     try:
@@ -96,6 +84,14 @@ def _compiled(function: F, inline: bool) -> F:
         threading.Thread(target=_report_progress, daemon=True).start()
     _loops.append(loop)
     return cast(F, loop)
+
+
+def inlined(function: F) -> F:
+    """`compiled` for a small function of innermost loops, which is inlined into its callers. A call with a few arrays
+    pushes some forty numbers onto the stack: without inlining, conditioning a candidate of a tree takes two to four
+    times as long.
+    """
+    return compiled(function, inline=True)
 
 
 def cache_folder() -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, relative to the variances' product
@@ -152,15 +152,11 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
             raise ValueError(f"hypothesis.features[{entry}]: feature {feature} is paired twice")
         if feature != UNPAIRED:
             paired.add(feature)
-    if hypothesis.new is not None and not _is_valid_new(hypothesis.new, decisions):
+    new: Any = hypothesis.new
+    is_mask = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
+    if new is not None and not (is_mask and not (new & (decisions >= 0)).any()):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
     return hypothesis if decisions is array else replace(hypothesis, features=decisions)
-
-
-def _is_valid_new(new: Any, decisions: IntArray) -> bool:
-    """Whether `new` holds one boolean for each decision, true for unpaired measurements only."""
-    is_mask = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
-    return is_mask and not bool((new & (decisions >= 0)).any())
 
 
 def one_of(name: str, value: Any, known: Any) -> None:

@@ -16,9 +16,9 @@ from slam_gym.association.relocation.observation import observe_walk, walk_shape
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
-from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.judged import NOT_OFFERED
+from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.slam.relocate import LocalityName
 from slam_gym.types import UNPAIRED, IntArray
@@ -152,14 +152,11 @@ class RelocateEnv(BaseEnv):
 
     def verdict(self) -> tuple[int, int]:
         """(right, wrong) for the present answer: (1, 0), (0, 1), or (0, 0) for no answer inside the map."""
-        answer = self.walk.best
+        answer, inside = self.walk.best, self.kidnapped.inside
         if not answer.accepted:
-            return int(not self.kidnapped.inside), 0
-        right = False
-        if self.kidnapped.inside:
-            error = relative(self.kidnapped.pose, answer.pose)
-            near = math.hypot(error[0], error[1]) <= self.arguments.position_tolerance
-            right = near and abs(float(error[2])) <= self.arguments.heading_tolerance
+            return int(not inside), 0
+        tolerances = self.arguments.position_tolerance, self.arguments.heading_tolerance
+        right = inside and is_right(answer.pose, self.kidnapped.pose, *tolerances)
         return int(right), int(not right)
 
     def right_action(self) -> int:

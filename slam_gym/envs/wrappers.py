@@ -28,10 +28,12 @@ class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
     def __init__(self, env: gym.Env[Any, Any], image: bool = False) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, image=image)
         super().__init__(env)
-        parts = _parts(env, "FlatObservation")
-        kept = {name: box for name, box in parts.items() if image or not _is_image(box)}
+        space = env.observation_space
+        if not (isinstance(space, spaces.Dict) and all(isinstance(box, spaces.Box) for box in space.values())):
+            raise ValueError(f"FlatObservation: expected a Dict of Boxes, got {space}")
+        kept = {name: box for name, box in space.items() if image or not _is_image(box)}
         if not kept:
-            raise ValueError(f"FlatObservation: nothing but images in {', '.join(parts)}; image=True keeps them")
+            raise ValueError(f"FlatObservation: nothing but images in {', '.join(space)}; image=True keeps them")
         self._scales = {name: np.float32(1.0 / 255.0 if _is_image(box) else 1.0) for name, box in kept.items()}
         low, high = (
             self.observation({name: getattr(box, end) for name, box in kept.items()}) for end in ("low", "high")
@@ -76,13 +78,5 @@ class RecordEveryTick(gym.wrappers.RecordVideo):
         self.recorded_frames += frames
 
 
-def _parts(env: gym.Env[Any, Any], wrapper: str) -> dict[str, spaces.Box]:
-    """The parts of an observation. Raises ValueError where the space is not a Dict of Boxes."""
-    space = env.observation_space
-    if not (isinstance(space, spaces.Dict) and all(isinstance(box, spaces.Box) for box in space.spaces.values())):
-        raise ValueError(f"{wrapper}: expected a Dict of Boxes, got {space}")
-    return dict(space.spaces)  # type: ignore[arg-type]
-
-
-def _is_image(box: spaces.Box) -> bool:
-    return box.dtype == np.uint8 and len(box.shape) == 3
+def _is_image(box: Any) -> bool:
+    return bool(box.dtype == np.uint8) and len(box.shape) == 3

@@ -16,8 +16,8 @@ def nees(error: Array, covariance: Array) -> float:
     """Normalised estimation error squared ε = eᵀ P⁻¹ e of an error e (d,) with covariance P (d, d).
 
     It has a χ² distribution with d degrees of freedom if the filter is consistent. Of P, only the upper triangle is
-    read. A direction with variance 0
-    contributes nothing if its error is 0 too, as at the robot's first pose; otherwise ε is infinite.
+    read. A direction with variance 0 contributes nothing if its error is 0 too, as at the robot's first pose; otherwise
+    ε is infinite.
     """
     d = len(error)
     factor, y = np.zeros((d, d)), np.zeros(d)  # P = L Lᵀ, y = L⁻¹ e

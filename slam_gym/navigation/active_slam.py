@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.explored_grid import Cells, ExploredCells, ExploredGrid, shape_of
+from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid, shape_of
 from slam_gym.navigation.visibility import passage
 from slam_gym.types import Array, Beams, BoolArray, IntArray
 
@@ -37,7 +37,7 @@ def expected_reduction(
     `mean` (3 + 2n,), `covariance` (3 + 2n, 3 + 2n) of the stochastic map.
     """
     drifts = np.broadcast_to(np.square(drift), (len(places), 3))
-    nearest = _in_sight(mean, (grid.cells, grid.origin, grid.resolution), places, reach, MAX_FEATURES)
+    nearest = _in_sight(mean, grid.explored, places, reach, MAX_FEATURES)
     gains = [
         _reduction(mean, covariance, place, features[features >= 0], sigma**2, variances)
         for place, features, variances in zip(places, nearest, drifts)
@@ -50,15 +50,14 @@ def features_in_sight(mean: Array, grid: ExploredGrid, places: Array, reach: flo
 
     Only known walls block the line of sight; unknown space does not.
     """
-    seen = _in_sight(mean, (grid.cells, grid.origin, grid.resolution), places, reach, len(mean) // 2 - 1)
+    seen = _in_sight(mean, grid.explored, places, reach, len(mean) // 2 - 1)
     return np.asarray(np.count_nonzero(seen >= 0, axis=1))
 
 
 @compiled
-def _in_sight(x: Array, packed: tuple[Cells, Array, float], places: Array, reach: float, most: int) -> IntArray:
+def _in_sight(x: Array, explored: ExploredCells, places: Array, reach: float, most: int) -> IntArray:
     """(q, most) the nearest features within reach of each of `places` (q, 2) and in line of sight, padded with −1."""
-    explored, n = ExploredCells(*packed), (len(x) - 3) // 2
-    side, out = explored.resolution, np.full((len(places), most), -1)
+    n, side, out = (len(x) - 3) // 2, explored.resolution, np.full((len(places), most), -1)
     near, distances = np.empty(n, np.int64), np.empty(n)
     for q in range(len(places)):
         px, py, k, count = places[q, 0], places[q, 1], 0, 0
@@ -108,17 +107,17 @@ class VirtualMap:
     """Virtual landmarks over fixed bounds, and the optimality criteria of their covariances.
 
     `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `cell` [m] side of a cell; `prior_sigma` σ₀ [m] until observed.
-    Raises ValueError for bounds that are not finite or have no area, and for lengths that are not positive.
+    Raises ValueError for bounds that are not finite or have no area, and for a cell without a finite, positive side.
     """
 
     def __init__(self, bounds: Array, cell: float = 1.0, prior_sigma: float = 1.0) -> None:
-        if not 0.0 < prior_sigma < math.inf:
-            raise ValueError(f"prior_sigma: expected a finite length > 0 [m], got {prior_sigma}")
-        shape = shape_of(bounds, cell)
+        h, w = shape_of(bounds, cell)
         self.cell = float(cell)
         self.prior_sigma = float(prior_sigma)
         self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
-        self.covariances: Array = np.tile(np.eye(2) * prior_sigma**2, (*shape, 1, 1))  # (h, w, 2, 2) [m²] in B
+        self.covariances: Array = np.tile(np.eye(2) * prior_sigma**2, (h, w, 1, 1))  # (h, w, 2, 2) [m²] in B
+        rows, columns = np.indices((h, w)).reshape(2, -1)
+        self._centres = self.origin + (np.column_stack([columns, rows]) + 0.5) * self.cell  # (h · w, 2) [m] in B
 
     def observe(self, pose: Array, pose_covariance: Array, beams: Beams, sigma: float) -> int:
         """Map the virtual landmarks in view of `beams` from `pose` (3,) with `pose_covariance` (3, 3), both in B.
@@ -127,35 +126,30 @@ class VirtualMap:
         of the sensor; it replaces the present covariance if its trace is smaller. A landmark is in view if the nearest
         beam reaches it. Returns the number of landmarks that have improved, 0 for a covariance with NaN.
         """
-        (h, w), reach = self.covariances.shape[:2], beams.max_range
-        (left, low), (right, high) = (
-            np.clip((pose[:2] + side * reach - self.origin) / self.cell, -1.0, max(h, w) + 1.0) for side in (-1.0, 1.0)
-        )
-        rows = slice(max(0, math.floor(low)), max(0, math.ceil(high)))
-        columns = slice(max(0, math.floor(left)), max(0, math.ceil(right)))
-        dy, dx = np.meshgrid(np.arange(h)[rows], np.arange(w)[columns], indexing="ij")
-        dx = self.origin[0] + (dx + 0.5) * self.cell - pose[0]
-        dy = self.origin[1] + (dy + 0.5) * self.cell - pose[1]
+        offsets = self._centres - pose[:2]
+        near = np.flatnonzero(np.abs(offsets).max(axis=1) <= beams.max_range)
+        dx, dy = offsets[near].T
         P = pose_covariance
         xx = P[0, 0] - 2.0 * dy * P[0, 2] + dy * dy * P[2, 2] + sigma * sigma
         xy = P[0, 1] + dx * P[0, 2] - dy * P[1, 2] - dx * dy * P[2, 2]
         yy = P[1, 1] + 2.0 * dx * P[1, 2] + dx * dx * P[2, 2] + sigma * sigma
-        current = self.covariances[rows, columns]
-        better = (xx + yy < np.trace(current, axis1=2, axis2=3)) & _in_view(dx, dy, pose[2], beams)
-        current[better] = np.stack([xx, xy, xy, yy], axis=-1)[better].reshape(-1, 2, 2)
+        covariances = self.covariances.reshape(-1, 2, 2)
+        better = (xx + yy < np.trace(covariances[near], axis1=1, axis2=2)) & _in_view(dx, dy, pose[2], beams)
+        covariances[near[better]] = np.stack([xx, xy, xy, yy], axis=-1)[better].reshape(-1, 2, 2)
         return int(np.count_nonzero(better))
 
     def a_opt(self) -> float:
-        """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean of λ, σ₀² before any observation."""
-        return 0.5 * float(np.trace(self.covariances, axis1=2, axis2=3).mean())
+        """A-optimality tr(P)/l of all l = 2hw coordinates together, in units of σ₀²: 1 before any observation."""
+        return 0.5 * float(np.trace(self.covariances, axis1=2, axis2=3).mean()) / self.prior_sigma**2
 
     def d_opt(self) -> float:
-        """D-optimality exp(mean log λ) [m²], σ₀² before any observation."""
-        return math.exp(self._mean_log())
+        """D-optimality exp(mean log λ), in units of σ₀²: 1 before any observation."""
+        return math.exp(self._mean_log()) / self.prior_sigma**2
 
     def entropy(self) -> float:
-        """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat]."""
-        return 0.5 * (math.log(2.0 * math.pi * math.e) + self._mean_log())
+        """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat], less that before any observation."""
+        constant = 2.0 * math.pi * math.e
+        return 0.5 * (math.log(constant) + self._mean_log()) - 0.5 * math.log(constant * self.prior_sigma**2)
 
     def _mean_log(self) -> float:
         """Mean of log λ over the eigenvalues of all covariances, from their determinants."""

@@ -16,19 +16,16 @@ ON_FRONTIER = -1
 _RINGS = 2  # greatest distance in cells from a frontier to the cell that represents it
 
 
-def frontiers(
-    grid: ExploredGrid, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0
-) -> Array:
+def frontiers(grid: ExploredGrid, reachable: BoolArray, min_length: float = 0.6, span: float = 3.0) -> Array:
     """(q, 2) [m] in B, the centre of each frontier at least `min_length` [m] long.
 
     A frontier is a set of 8-connected free cells with an unknown 4-neighbour; its length is its number of unknown
     neighbours times the side of a cell. A frontier that extends further than `span` [m] from its first cell is split
     there, because one centre could not represent it. The centre is that of the `reachable` (h, w) cell nearest to the
-    frontier's centroid; frontiers without such a cell are left out. By default every free cell counts as reachable.
+    frontier's centroid; frontiers without such a cell are left out.
     """
-    cells, side = grid.cells, grid.resolution
-    reachable = cells == FREE if reachable is None else reachable
-    cells_found = find_frontiers(cells, reachable, min_length / side - 1e-9, span / side)
+    side = grid.resolution
+    cells_found = find_frontiers(grid.cells, reachable, min_length / side - 1e-9, span / side)
     centres: Array = grid.origin + (cells_found[:, :2] + 0.5) * side
     return centres
 

@@ -11,12 +11,13 @@ drawn twice.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.types import NO_ID, Array, Beams, BoolArray, IntArray
 
@@ -34,18 +35,6 @@ _Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B; not an ar
 _NOWHERE: _Pose = (math.inf, 0.0, 0.0)
 
 
-class Features(Protocol):
-    """The features of a map, by ids that are never given twice."""
-
-    @property
-    def ids(self) -> IntArray:
-        """(n,)"""
-
-    @property
-    def positions(self) -> Array:
-        """(n, 2) [m] in B."""
-
-
 class _Frames(NamedTuple):
     """The arrays of all keyframes, with room for more."""
 
@@ -56,14 +45,6 @@ class _Frames(NamedTuple):
 
 
 _PackedFrames = tuple[Array, BoolArray, IntArray, Array]
-
-
-class _Moved(NamedTuple):
-    """Keyframes whose current pose differs from the pose at which they are drawn."""
-
-    rows: IntArray  # (k,)
-    before: Array  # (k, 3) in B, at which they are drawn; NaN: they are not drawn
-    after: Array  # (k, 3) in B, their current poses; NaN: none of their anchors is in the map
 
 
 class Keyframes:
@@ -85,14 +66,13 @@ class Keyframes:
         self._checks, self._unchecked, self._allowed = 0, 0, MOST_REDRAWN
 
     def enter(
-        self, pose: Array, motion: Array, beams: Beams, seen: IntArray, features: Features, fused: IntArray = NO_PAIRS
+        self, pose: Array, motion: Array, beams: Beams, seen: IntArray, m: StochasticMap, fused: IntArray = NO_PAIRS
     ) -> None:
         """Enter a sweep taken at the estimated `pose` (3,) in B, and move earlier sweeps to their current poses.
 
-        `motion` (3,) is the motion since the last sweep by odometry; `seen` (s,) are the ids of the features seen with
-        this sweep, `features` are all features of the map, and `fused` (k, 2) are the pairs of ids fused since the last
-        sweep, the kept id first. Raises ValueError for a pose that is not finite, or another number of beams than
-        before.
+        `motion` (3,) is the motion since the last sweep by odometry; `seen` (s,) are the ids of the features of the map
+        `m` seen with this sweep, and `fused` (k, 2) are the pairs of ids fused since the last sweep, the kept id first.
+        Raises ValueError for a pose that is not finite, or another number of beams than before.
         """
         x, y, heading = current = pose.tolist()
         if not math.isfinite(x + y + heading):
@@ -105,9 +85,9 @@ class Keyframes:
         if len(fused):
             self._fuse(fused)
         if self._first and (surprised or len(fused) or self._unchecked == CHECK):
-            corrected = self._follow(beams, features.ids, features.positions)
+            corrected = self._follow(beams, m.ids, m.positions)
         if corrected or _are_apart(current, self._opened, SPACING, TURN):
-            self._open(pose, seen, features.ids, features.positions)
+            self._open(pose, seen, m.ids, m.positions)
             self._opened = current
         kept = _are_apart(current, self._kept, REST * SPACING, REST * TURN)
         self._grid.integrate(pose, beams, movable=kept)
@@ -142,40 +122,41 @@ class Keyframes:
         rows = np.arange(share, last + SHARES, SHARES)
         rows[-1] = last
         row_of = _rows_of(ids)
-        moved = _Moved(*_moved(self._frames, rows, row_of, positions, lever, tolerance))
-        corrected = len(moved.rows) > 0 and bool(moved.rows[-1] == last)
+        moved, now = _moved(self._frames, rows, row_of, positions, lever, tolerance)
+        corrected = len(moved) > 0 and bool(moved[-1] == last)
         if corrected:
-            moved = _Moved(*_moved(self._frames, np.arange(last + 1), row_of, positions, lever, tolerance))
-        if len(moved.rows):
-            self._redraw(moved, beams)
+            moved, now = _moved(self._frames, np.arange(last + 1), row_of, positions, lever, tolerance)
+        if len(moved):
+            self._redraw(moved, now, beams)
         return corrected
 
-    def _redraw(self, moved: _Moved, beams: Beams) -> None:
-        """Remove the sweeps of keyframes from the grid, and enter them again at their current poses.
+    def _redraw(self, moved: IntArray, now: Array, beams: Beams) -> None:
+        """Remove the sweeps of the keyframes `moved` (k,) from the grid, and enter them again at `now` (k, 3).
 
         The number of sweeps is limited, so that a map that moves all the time does not stop the robot: the latest
         keyframes come first, the others when they are checked next.
         """
         ends = np.append(self._first, len(self._poses))
-        counts = ends[moved.rows + 1] - ends[moved.rows]
+        counts = ends[moved + 1] - ends[moved]
         first = int(np.searchsorted(-np.cumsum(counts[::-1])[::-1], -self._allowed))
-        moved, counts = _Moved(moved.rows[first:], moved.before[first:], moved.after[first:]), counts[first:]
+        moved, now, counts = moved[first:], now[first:], counts[first:]
         self._allowed -= int(counts.sum())
         if not len(counts):
             return
-        sweeps = [sweep for k in moved.rows.tolist() for sweep in range(ends[k], ends[k + 1])]
+        poses, drawn, _, _ = self._frames
+        sweeps = [sweep for k in moved.tolist() for sweep in range(ends[k], ends[k + 1])]
         if sweeps:
             before = np.array([self._poses[sweep] for sweep in sweeps])
-            after = _moved_with_keyframes(before, self._frames[0][moved.rows], moved.after, counts)
+            after = _moved_with_keyframes(before, poses[moved], now, counts)
             for sweep, pose in zip(sweeps, after):
                 if math.isfinite(pose[0]):
                     self._poses[sweep] = pose
-            before[np.repeat(np.isnan(moved.before[:, 0]), counts)] = math.nan
+            before[np.repeat(~drawn[moved], counts)] = math.nan
             ranges = np.array([self._ranges[sweep] for sweep in sweeps])
             self._grid.move(before, after, Beams(beams.bearings, ranges, beams.max_range))
-        in_map = np.isfinite(moved.after[:, 0])
-        self._frames[1][moved.rows] = in_map
-        self._frames[0][moved.rows[in_map]] = moved.after[in_map]
+        in_map = np.isfinite(now[:, 0])
+        drawn[moved] = in_map
+        poses[moved[in_map]] = now[in_map]
 
 
 def _moved_with_keyframes(sweeps: Array, drawn: Array, now: Array, counts: IntArray) -> Array:
@@ -280,15 +261,15 @@ def _anchored(
 @compiled
 def _moved(
     packed: _PackedFrames, rows: IntArray, row_of: IntArray, positions: Array, lever: float, tolerance: float
-) -> tuple[IntArray, Array, Array]:
-    """The keyframes among `rows` (r,) that have moved by more than `tolerance` [m], as the fields of `_Moved`.
+) -> tuple[IntArray, Array]:
+    """The keyframes (k,) among `rows` (r,) that have moved by more than `tolerance` [m], and their poses now (k, 3).
 
-    A turn counts by the arc at `lever` [m], half the range of a beam. Keyframes whose anchors have come into the map or
-    have all left it count as moved. A keyframe that never had an anchor does not move.
+    A turn counts by the arc at `lever` [m], half the range of a beam. A keyframe whose anchors have all left the map
+    counts as moved, to a pose of NaN, and so does one whose anchors have come back. A keyframe that never had an anchor
+    does not move.
     """
     frames = _Frames(*packed)
-    moved, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
-    count = 0
+    moved, after, count = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), 0
     for k in rows:
         now, pose = _pose_now(frames, k, row_of, positions), frames.poses[k]
         in_map, drawn = math.isfinite(now[0]), frames.drawn[k]
@@ -299,7 +280,5 @@ def _moved(
         if changed:
             moved[count] = k
             after[count, 0], after[count, 1], after[count, 2] = now
-            for axis in range(3):
-                before[count, axis] = pose[axis] if drawn else math.nan
             count += 1
-    return moved[:count], before[:count], after[:count]
+    return moved[:count], after[:count]

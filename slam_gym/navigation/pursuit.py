@@ -11,6 +11,12 @@ from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 
+LOOKAHEAD = 0.4  # [m]
+TURN_GAIN = 4.0  # [1/s] turning speed per heading error
+STOP_ANGLE = 0.7  # [rad] heading error above which the robot turns on the spot
+DECELERATION = 1.5  # [m/s²] at the end of the path
+TOLERANCE = 0.03  # [m] distance from the end at which the robot stops
+
 
 class OnPath(NamedTuple):
     """The point of a path that is nearest to a position."""
@@ -74,57 +80,32 @@ def points_ahead(path: Array, position: Array, spacing: float) -> Array:
     return np.column_stack([np.interp(at, starts, remaining[:, 0]), np.interp(at, starts, remaining[:, 1])])
 
 
-class PursuitSpec(NamedTuple):
-    """Limits of a differential-drive robot, and parameters of pure pursuit."""
-
-    max_speed: float = 1.0  # [m/s] forward speed of the fraction 1
-    max_turn: float = 2.0  # [rad/s] turning speed of the fraction 1
-    lookahead: float = 0.4  # [m]
-    turn_gain: float = 4.0  # [1/s] turning speed per heading error
-    stop_angle: float = 0.7  # [rad] heading error above which the robot turns on the spot
-    deceleration: float = 1.5  # [m/s²] at the end of the path
-    tolerance: float = 0.03  # [m] distance from the end at which the robot stops
-
-
-class Twist(NamedTuple):
-    """Speeds as fractions in [−1, 1] of the maximal speeds."""
-
-    forward: float
-    turn: float
-
-
-_STANDARD = PursuitSpec()
-
-
-def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
-    """The speeds for a robot at `pose` (3,) to follow `path` (p, 2), both in B.
-
-    Pure pursuit (Coulter, 1992) of the point `lookahead` beyond the one nearest to the robot. The robot drives slower
-    the larger its heading error and, near the end of the path, the less distance remains to stop. It first corrects a
-    large error on the spot. For an empty path the speeds are 0.
-    """
-    return Twist(*_pursue(pose, path, tuple(spec)))
-
-
 @compiled
-def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float, float]:
-    """Forward and turning speed, as fractions, towards the point `lookahead` beyond the nearest point of the path."""
+def follow(pose: Array, path: Array, max_speed: float, max_turn: float) -> tuple[float, float]:
+    """Forward and turning speed for a robot at `pose` (3,) to follow `path` (p, 2), both in B.
+
+    The speeds are fractions in [−1, 1] of `max_speed` [m/s] and `max_turn` [rad/s]; for an empty path they are 0.
+
+    Pure pursuit (Coulter, 1992) of the point `LOOKAHEAD` beyond the one nearest to the robot. The robot drives slower
+    the larger its heading error and, near the end of the path, the less distance remains to stop. It first corrects a
+    large error on the spot.
+    """
     if path.shape[0] == 0:
         return 0.0, 0.0
-    spec, at = PursuitSpec(*packed), on_path(path, pose[:2])
+    at = on_path(path, pose[:2])
     x, y, remaining, passed = path[-1, 0], path[-1, 1], -at.covered, False
     for i in range(at.segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
-        if not passed and remaining + length >= spec.lookahead:
-            t = (spec.lookahead - remaining) / length if length > 0.0 else 0.0
+        if not passed and remaining + length >= LOOKAHEAD:
+            t = (LOOKAHEAD - remaining) / length if length > 0.0 else 0.0
             x, y, passed = path[i, 0] + t * dx, path[i, 1] + t * dy, True
         remaining += length
     remaining = max(remaining, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
-    if remaining < spec.tolerance:
+    if remaining < TOLERANCE:
         return 0.0, 0.0
     error = wrap_angle(math.atan2(y - pose[1], x - pose[0]) - pose[2])
-    slowdown = max(0.0, 1.0 - abs(error) / spec.stop_angle)
-    speed = min(spec.max_speed, math.sqrt(2.0 * spec.deceleration * remaining)) * slowdown
-    turn = min(spec.max_turn, max(-spec.max_turn, spec.turn_gain * error))
-    return speed / spec.max_speed, turn / spec.max_turn
+    slowdown = max(0.0, 1.0 - abs(error) / STOP_ANGLE)
+    speed = min(max_speed, math.sqrt(2.0 * DECELERATION * remaining)) * slowdown
+    turn = min(max_turn, max(-max_turn, TURN_GAIN * error))
+    return speed / max_speed, turn / max_turn

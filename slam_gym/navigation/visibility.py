@@ -30,50 +30,45 @@ _BLUR = 1.0  # [cells] σ of the position of a wall within the grid
 SensorFigures = tuple[float, float, float, float]  # half the field of view [rad], least and greatest range, `unknown`
 SightArrays = tuple[SensorFigures, tuple[Cells, Array, float]]  # and explored space: cells, origin [m], resolution [m]
 
+NOTHING_EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
+"""In place of explored space: no wall hides anything."""
+
 
 class _Sensor(NamedTuple):
     half: float  # [rad] half the field of view
     near: float  # [m] least range
     far: float  # [m] greatest range
-    unknown: float  # see `FieldOfView`
-
-
-@dataclass(frozen=True, slots=True)
-class FieldOfView:
-    """The field of view of a sensor. Raises ValueError, naming the field, for an impossible value."""
-
-    angle: float  # [rad] full angle, centred on the heading
-    range: float  # [m] greatest range
-    min_range: float = 0.0  # [m] least range
-    unknown: float = 0.9  # probability that a metre of unexplored space does not block a line of sight
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.angle <= 2.0 * math.pi:
-            raise ValueError(f"FieldOfView.angle: {self.angle} is not in (0, 2π] rad")
-        if not 0.0 <= self.min_range < self.range < math.inf:
-            given = f"{self.min_range} and {self.range}"
-            raise ValueError(f"FieldOfView.range: expected 0 <= min_range < range < ∞ [m], got {given}")
-        if not 0.0 <= self.unknown <= 1.0:
-            raise ValueError(f"FieldOfView.unknown: {self.unknown} is not a probability")
-
-    @property
-    def figures(self) -> SensorFigures:
-        """The fields as a plain tuple, which compiled functions take."""
-        return 0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown)
+    unknown: float  # see `ViewsFrom`
 
 
 @dataclass(frozen=True, slots=True)
 class ViewsFrom:
-    """What the sensor has in view from any pose of the robot, as far as walls are known."""
+    """What a sensor has in view from any pose of the robot, as far as walls are known.
 
-    field: FieldOfView
-    explored: ExploredCells
+    Raises ValueError, naming the field, for an impossible value.
+    """
+
+    angle: float  # [rad] full angle of the field of view, centred on the heading
+    range: float  # [m] greatest range
+    min_range: float = 0.0  # [m] least range
+    unknown: float = 0.9  # probability that a metre of unexplored space does not block a line of sight
+    explored: ExploredCells = NOTHING_EXPLORED
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.angle <= 2.0 * math.pi:
+            raise ValueError(f"ViewsFrom.angle: {self.angle} is not in (0, 2π] rad")
+        if not 0.0 <= self.min_range < self.range < math.inf:
+            given = f"{self.min_range} and {self.range}"
+            raise ValueError(f"ViewsFrom.range: expected 0 <= min_range < range < ∞ [m], got {given}")
+        if not 0.0 <= self.unknown <= 1.0:
+            raise ValueError(f"ViewsFrom.unknown: {self.unknown} is not a probability")
 
     @property
     def arrays(self) -> SightArrays:
         """Sensor and explored space as plain tuples, which `probabilities_in_view` takes."""
         cells, origin, resolution = self.explored
-        return self.field.figures, (cells, np.array(origin), resolution)
+        figures = 0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown)
+        return figures, (cells, np.array(origin), resolution)
 
 
 @compiled

@@ -17,7 +17,7 @@ from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
 from slam_gym.simulation.association_runs import LoggedRun
-from slam_gym.simulation.episode import Episode, turned
+from slam_gym.simulation.episode import Episode
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 _TRAIL = 400  # points of a trail that are drawn
@@ -49,7 +49,7 @@ class Scene:
     true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where unknown
     true_trail: Array = _no_rows(2)  # (t, 2) [m]
     pose: Array | None = None  # (3,) estimated
-    pose_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    position_covariance: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) [m²] of that pose
     trail: Array = _no_rows(2)  # (t, 2) [m] estimated
     landmarks: Array = _no_rows(2)  # (n, 2) [m] the map
     landmark_covariances: Array = _no_rows(2, 2)  # (n, 2, 2) [m²]
@@ -87,8 +87,8 @@ def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
     symbols.true_features(canvas, scene.features, scene.kinds, 3.0 * size)
     symbols.landmarks(canvas, scene.landmarks, scene.provisional, 2.3 * size)
     symbols.people(canvas, scene.people)
-    if scene.pose is not None and scene.pose_covariance.any():
-        canvas.ellipses(scene.pose[None, :2], scene.pose_covariance[None, :2, :2], None, symbols.MAPPED)
+    if scene.pose is not None and scene.position_covariance.any():
+        canvas.ellipses(scene.pose[None, :2], scene.position_covariance[None], None, symbols.MAPPED)
     symbols.decisions(canvas, here, scene.scan_points, scene.paired_positions, scene.decisions, size)
     if scene.true_pose is not None:
         symbols.robot_body(canvas, scene.true_pose, scene.robot_radius, 6.0 * size)
@@ -110,7 +110,7 @@ def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibili
         true_pose=episode.world.pose,
         true_trail=_trail(episode.poses),
         pose=compose(base, slam_map.pose),
-        pose_covariance=turned(base, slam_map.pose_covariance),
+        position_covariance=rotate_covariances(base[2], slam_map.pose_covariance[None, :2, :2])[0],
         trail=transform(base, _trail(episode.estimates)),
         landmarks=transform(base, slam_map.positions),
         landmark_covariances=rotate_covariances(base[2], slam_map.covariances),
@@ -132,7 +132,7 @@ def scene_of_log(run: LoggedRun) -> Scene:
         true_pose=relative(poses[0], run.truth.pose),
         true_trail=observe(poses[0], poses[:, :2]) if np.isfinite(poses).all() else np.empty((0, 2)),
         pose=slam_map.pose,
-        pose_covariance=slam_map.pose_covariance,
+        position_covariance=slam_map.pose_covariance[:2, :2],
         trail=np.array([*(estimate[:2] for estimate in run.estimates), slam_map.pose[:2]]),
         landmarks=slam_map.positions,
         landmark_covariances=slam_map.covariances,

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
-from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, points_ahead
+from slam_gym.navigation.pursuit import follow, length_left, next_stretch, points_ahead
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
 from slam_gym.types import Array
@@ -59,7 +59,7 @@ def _look_around(episode: Episode) -> Iterator[Command]:
 
 def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | None) -> Iterator[Command]:
     robot = episode.scenario.robot
-    pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
+    speed, turn = float(robot.max_speed), float(robot.max_turn)
     path, requested, seen = np.empty((0, 2)), goal, False
     nearest, stalled = math.inf, 0
     ticks = 0
@@ -76,7 +76,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
         if math.dist(pose[:2], goal) < ARRIVED or stalled > STUCK_TICKS:
             break
         episode.path = path
-        yield follow(pose, path, pursuit)
+        yield follow(pose, path, speed, turn)
         ticks += 1
     episode.path = np.empty((0, 2))
     if frontier and not seen and not episode.over:

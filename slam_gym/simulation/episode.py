@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
-from slam_gym.geometry import compose, observe, transform
+from slam_gym.geometry import compose, compose_jacobians, observe, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import error_of_pose
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.keyframes import Keyframes
-from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.goals import Tried
@@ -93,8 +93,8 @@ class Episode:
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._cells = self.grid.cells  # a view, which changes with the grid
         sensor = scenario.sensor
-        field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        self.slam = Slam(spec, ViewsFrom(field, self.grid.explored), relocate=relocate, atlas=atlas)
+        sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=self.grid.explored)
+        self.slam = Slam(spec, sight, relocate=relocate, atlas=atlas)
         # true associations include new features: with a wide gate it would map fewer features than other associators
         self._judged = JudgedSlam(self.slam, associator, informed=True)
         self.identities = self._judged.identities
@@ -133,10 +133,9 @@ class Episode:
 
     def _drive(self, forward: float, turn: float) -> None:
         motion = self.world.tick(forward, turn)
-        if self.kidnapping.planned:
-            carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
-            if carried_to is not None:
-                self.world.place(carried_to)
+        carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
+        if carried_to is not None:
+            self.world.place(carried_to)
         self._sense(motion)
 
     def _sense(self, motion: Motion) -> None:
@@ -160,7 +159,8 @@ class Episode:
         pose = slam_map.pose
         self._keyframes.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
         if self.virtual_map is not None:
-            covariance = turned(self.base, slam_map.pose_covariance)
+            _, turn = compose_jacobians(self.base, pose)
+            covariance = turn @ slam_map.pose_covariance @ turn.T  # in W
             sigma = self.scenario.sensor.sigma_halfway
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
@@ -208,15 +208,6 @@ class Episode:
                 self._appraised = appraise(m.arrays, m.n, m.spec.confirmations, self.base, *seen)
             self._appraised_at = self.ticks
         return self._appraised
-
-
-def turned(base: Array, covariance: Array) -> Array:
-    """Rotate the `covariance` (3, 3) of a pose from B into W; `base` (3,) is the pose of B in W."""
-    turn = np.eye(3)
-    c, s = math.cos(base[2]), math.sin(base[2])
-    turn[:2, :2] = [[c, -s], [s, c]]
-    out: Array = turn @ covariance @ turn.T
-    return out
 
 
 def _bounds_in_base(bounds: Array, base: Array) -> Array:

@@ -21,24 +21,18 @@ class Kidnapping:
     """
 
     def __init__(self, spec: KidnappingSpec | None, budget: int) -> None:
-        self._due = math.inf if spec is None else spec.at * budget  # [tick]
-        self._spec = spec
+        self._spec, self._budget = spec, budget
         self.happened: int | None = None  # tick of the kidnapping
         self.recovered: int | None = None  # tick of the recovery
         self.right = self.wrong = 0  # numbers of right and wrong relocations
         self._relocations = 0
-
-    @property
-    def planned(self) -> bool:
-        """Whether a kidnapping is still to come."""
-        return self._spec is not None and self.happened is None
 
     def destination(self, tick: int, been: list[Array], cells: Array, rng: np.random.Generator) -> Array | None:
         """Pose (3,) in W to which the robot is carried in this tick; None if it is not.
 
         `been` are its true poses (3,) so far, `cells` (c, 2) [m] all places that it can reach.
         """
-        if self._spec is None or self.happened is not None or tick < self._due:
+        if self._spec is None or self.happened is not None or tick < self._spec.at * self._budget:
             return None
         self.happened, trail = tick, np.array(been)
         place = _place_been(trail, self._spec.distance, rng) if self._spec.inside else _place_not_been(trail, cells)
@@ -54,10 +48,10 @@ class Kidnapping:
             self.recovered = tick
 
 
-def is_right(estimate: Array, true: Array) -> bool:
-    """Whether a pose (3,) is within `POSITION` and `HEADING` of the true pose (3,)."""
+def is_right(estimate: Array, true: Array, position: float = POSITION, heading: float = HEADING) -> bool:
+    """Whether a pose (3,) is within `position` [m] and `heading` [rad] of the true pose (3,)."""
     x, y, turn = relative(true, estimate).tolist()
-    return math.hypot(x, y) <= POSITION and abs(turn) <= HEADING
+    return math.hypot(x, y) <= position and abs(turn) <= heading
 
 
 def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array:

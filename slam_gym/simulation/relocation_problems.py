@@ -127,8 +127,7 @@ def _identities(episode: Episode) -> IntArray:
 
 def _elsewhere(scenario: Scenario, split: str, world: int, site: Site) -> Site | None:
     plan = scenario.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
-    same = plan.walls.shape == site.plan.walls.shape and np.array_equal(plan.walls, site.plan.walls)
-    return None if same else survey(plan, scenario)
+    return None if np.array_equal(plan.walls, site.plan.walls) else survey(plan, scenario)
 
 
 def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:

@@ -18,11 +18,10 @@ from scipy.spatial import cKDTree
 
 from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, same_local_map, within
+from slam_gym.mapping.locality import covisible, within
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import one_of
 
-LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
 DENSITY = 0.02  # [1/m²]
 REACH = 15.0  # [m] of the sensor, over the half plane ahead
 LANE, STATION = 12.0, 20.0  # [m] between lanes, at most; between nodes of the network that carries the drift
@@ -50,24 +49,11 @@ class SurveyedField:
     path: Array  # (k, 3) [m, m, rad] poses of the mapping pass
     in_scan: CovisibilityGraph  # seen in one scan
     in_map: CovisibilityGraph  # seen during one local map; each map has its own copies of features
-    map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
-        """The locality of that name, one of `LOCALITIES`.
-
-        In "local maps" two features are local to each other if they were seen during the same local map; in "joined
-        maps", if they were first seen during the same one. Raises ValueError for an unknown name.
-        """
+        """The locality of that name. Raises ValueError for a name that is not among `LOCALITIES`."""
         one_of("locality", name, LOCALITIES)
-        localities: dict[str, Callable[[], Locality | None]] = {
-            "covisibility": lambda: covisible(self.in_scan),
-            "two hops": lambda: covisible(self.in_scan, hops=2),
-            "within 2r": lambda: within(self.landmarks.positions, 2.0 * REACH),
-            "local maps": lambda: covisible(self.in_map),
-            "joined maps": lambda: same_local_map(self.map_of),
-            "everything": lambda: None,
-        }
-        return localities[name]()
+        return LOCALITIES[name](self)
 
     def scan_inside(self, m: int, spurious: int, rng: np.random.Generator) -> FieldScan:
         """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map."""
@@ -85,6 +71,16 @@ class SurveyedField:
         return FieldScan(_measured(clutter(m, REACH, math.pi, rng), rng), np.full(m, UNPAIRED), np.full(3, np.nan))
 
 
+LOCALITIES: dict[str, Callable[[SurveyedField], Locality | None]] = {
+    "covisibility": lambda field: covisible(field.in_scan),
+    "two hops": lambda field: covisible(field.in_scan, hops=2),
+    "within 2r": lambda field: within(field.landmarks.positions, 2.0 * REACH),
+    "local maps": lambda field: covisible(field.in_map),
+    "everything": lambda field: None,
+}
+"""In "local maps", two features are local to each other if they were seen during the same local map."""
+
+
 def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
     """Draw a field of n features and map it in one pass. The map lacks sizes and kinds."""
     side = math.sqrt(n / DENSITY)
@@ -99,16 +95,14 @@ def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
     in_scan, in_map = CovisibilityGraph(), CovisibilityGraph()
     in_scan.add(n)
     in_map.add(n)
-    map_number, members = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
+    members = np.empty(0, np.int64)
     for k, rows in enumerate(seen):
         in_scan.see_together(np.sort(number[rows]))
         members = np.union1d(members, number[rows])
-        map_number[k + 1 :] += len(members) >= LOCAL_MAP
         if len(members) >= LOCAL_MAP or k == len(seen) - 1:
             in_map.see_together(members)
             members = np.empty(0, np.int64)
-    landmarks = _drifted_map(features, poses, arcs, first, rng)
-    return SurveyedField(side, features, landmarks, poses, in_scan, in_map, map_number[first])
+    return SurveyedField(side, features, _drifted_map(features, poses, arcs, first, rng), poses, in_scan, in_map)
 
 
 def _lawn_mower_pass(side: float) -> tuple[Array, Array]:

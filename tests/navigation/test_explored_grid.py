@@ -45,7 +45,7 @@ def test_room_is_mapped_where_it_is(heading):
     assert (off.min(axis=1) < 0.25).all()
     assert (np.abs(walls) < room[2:] + 0.25).all()
     assert abs((grid.cells == FREE).sum() * grid.resolution**2 - 5.0 * 3.4) < 3.4
-    assert len(frontiers(grid)) == 0
+    assert len(frontiers(grid, grid.cells == FREE)) == 0
 
 
 def test_wall_that_has_gone_is_washed_out_in_nine_sweeps():

@@ -70,7 +70,7 @@ def test_frontiers_left_out_without_a_way_to_them():
     cells[:, 20], cells[15:, :] = WALL, UNKNOWN
     grid = ExploredGrid(np.array([0.0, 0.0, 41 * 0.2, 4.0]))
     grid._cells[:] = cells
-    assert {side for side in frontiers(grid)[:, 0] > 20.5 * 0.2} == {False, True}
+    assert {side for side in frontiers(grid, cells == FREE)[:, 0] > 20.5 * 0.2} == {False, True}
     field = distance_field(grid, np.array([1.0, 1.0]), 0.25)
     reached = frontiers(grid, field.reachable)
     assert len(reached) > 0 and (reached[:, 0] < 20 * 0.2).all()

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.navigation.explored_grid import ExploredCells
-from slam_gym.navigation.visibility import FieldOfView, ViewsFrom, probabilities_in_view
+from slam_gym.navigation.visibility import NOTHING_EXPLORED, ViewsFrom, probabilities_in_view
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from tests.oracles.association import compatible, problem
 
@@ -24,14 +23,14 @@ class Rates(NamedTuple):
     unseen: float = 0.05  # least visibility of a paired feature
 
 
-SIGHT = ViewsFrom(FieldOfView(1.2, 1.6), ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
+SIGHT = ViewsFrom(1.2, 1.6)
 """A sensor that sees a part of the small problems, over space in which nothing hides a feature."""
 
 
 def looking(prediction: Prediction, sight: ViewsFrom | None = SIGHT, moves: bool = True) -> Prediction:
     """The same for a robot that knows what its sensor shows."""
     *before, _, visible = prediction.source
-    nobody = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
+    nobody = ((0.0, 0.0, 0.0, 0.0), tuple(NOTHING_EXPLORED))
     source = *before, nobody if sight is None else sight.arrays, visible
     return dataclasses.replace(prediction, source=source, size=(*prediction.size[:3], moves))
 
@@ -66,17 +65,10 @@ def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> flo
     return float(-0.5 * nu @ np.linalg.solve(S, nu) - 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1])
 
 
-def in_view(
-    field: FieldOfView,
-    positions: Array,
-    covariances: Array,
-    explored: ExploredCells | None = None,
-    pose: Array | None = None,
-) -> Array:
-    """(k,) probability that each feature, given in R, is in view from `pose` (3,); nothing hides it unless explored."""
-    cells, origin, side = (np.empty((0, 0), np.uint8), np.zeros(2), 1.0) if explored is None else explored
-    at, grid = np.zeros(3) if pose is None else pose, (cells, np.array(origin), side)
-    found, fault = probabilities_in_view(positions, covariances, field.figures, grid, at)
+def in_view(sight: ViewsFrom, positions: Array, covariances: Array, pose: Array | None = None) -> Array:
+    """(k,) probability that each feature, given in R, is in view from `pose` (3,)."""
+    at = np.zeros(3) if pose is None else pose
+    found, fault = probabilities_in_view(positions, covariances, *sight.arrays, at)
     assert fault == -1
     return found
 
@@ -94,7 +86,7 @@ def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]
         gain = P[:, entries] @ np.linalg.inv(S)
         positions, P = positions + gain @ nu, P - gain @ P[entries]
     blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    return in_view(SIGHT.field, positions.reshape(n, 2), blocks)
+    return in_view(SIGHT, positions.reshape(n, 2), blocks)
 
 
 def every_hypothesis(

@@ -9,8 +9,7 @@ from slam_gym.geometry import compose, relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.map_quality import ate
-from slam_gym.navigation.explored_grid import ExploredCells
-from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Array, IntArray, Odometry, Scan, Truth
@@ -59,9 +58,7 @@ def look(landmarks: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan,
     return Scan.from_points(at[seen] + rng.normal(0.0, 0.05, (len(seen), 2)), sigma=0.05), seen
 
 
-EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
-
-VIEW = ViewsFrom(FieldOfView(2.0 * HALF_VIEW, REACH), EXPLORED)
+VIEW = ViewsFrom(2.0 * HALF_VIEW, REACH)
 """What the sensor has in view, as a robot knows that has nothing in its way."""
 
 
