@@ -53,8 +53,8 @@ def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]
     return array
 
 
-def npz_members(path: Path, limit: int = MAX_BYTES) -> dict[str, bytes]:
-    """The `.npy` files in a `.npz` file, by the names of their arrays.
+def zip_members(path: Path, limit: int = MAX_BYTES) -> dict[str, bytes]:
+    """The members of a zip file by name; those of a `.npz` file by the names of their arrays.
 
     Raises ValueError for damage, and for more than `limit` bytes, packed or as declared; OSError as `open`.
     """

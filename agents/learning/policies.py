@@ -32,7 +32,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from torch import Tensor, nn
 
 from agents.drivers.base import ActionKind, Info, Observation, legal_goals
-from slam_gym._files import content_of, zip_members
+from slam_gym._files import zip_members
 from slam_gym.association.tracking import ppo
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
 from slam_gym.association.tracking.walk import COMPATIBILITIES
@@ -230,7 +230,7 @@ class About:
 def read_about(path: Path) -> About:
     """The description in a model file. Raises ValueError, naming the file, where it is missing, damaged or foreign."""
     try:
-        data = json.loads(zip_members(content_of(path, _MAX_BYTES), _MAX_BYTES)["data"])
+        data = json.loads(zip_members(path, _MAX_BYTES)["data"])
         hyper = Hyperparameters(**data["about"].pop("hyperparameters"))
         return About(**data["about"] | {"timesteps": int(data["num_timesteps"])}, hyperparameters=hyper)
     except OSError:

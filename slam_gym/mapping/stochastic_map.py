@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import array_of, npz_members
+from slam_gym._files import array_of, zip_members
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
@@ -318,7 +318,7 @@ class StochasticMap:
         Raises OSError for a file that cannot be read, ValueError for one that is damaged or does not contain a map.
         """
         try:
-            members = npz_members(Path(path))
+            members = zip_members(Path(path))
             state: dict[str, Any] = {field.name: array_of(members[field.name], "fi") for field in fields(MapState)}
             state |= {name: int(state[name]) for name in ("step", "next_id")}
             spec = MapSpec(**json.loads(str(array_of(members["spec"], "U"))))

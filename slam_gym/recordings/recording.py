@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import array_of, npz_members
+from slam_gym._files import array_of, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
@@ -161,7 +161,7 @@ def load(path: str | Path) -> Recording:
     """
     known = {field.name for field in fields(Recording)}
     with naming(path):
-        content = npz_members(Path(path))
+        content = zip_members(Path(path))
         if unknown := sorted(set(content) - known - {"format", "version"}):
             raise RecordingError(f"unknown field {unknown[0][:40]!r}")
         for name in ("format", "version", *sorted(known)):

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, within
+from slam_gym.mapping.locality import covisible, same_local_map, within
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import one_of
 
@@ -49,6 +49,7 @@ class SurveyedField:
     path: Array  # (k, 3) [m, m, rad] poses of the mapping pass
     in_scan: CovisibilityGraph  # seen in one scan
     in_map: CovisibilityGraph  # seen during one local map; each map has its own copies of features
+    map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
         """The locality of that name. Raises ValueError for a name that is not among `LOCALITIES`."""
@@ -76,9 +77,11 @@ LOCALITIES: dict[str, Callable[[SurveyedField], Locality | None]] = {
     "two hops": lambda field: covisible(field.in_scan, hops=2),
     "within 2r": lambda field: within(field.landmarks.positions, 2.0 * REACH),
     "local maps": lambda field: covisible(field.in_map),
+    "joined maps": lambda field: same_local_map(field.map_of),
     "everything": lambda field: None,
 }
-"""In "local maps", two features are local to each other if they were seen during the same local map."""
+"""In "local maps" two features are local to each other if they were seen during the same local map; in "joined maps",
+if they were first seen during the same one."""
 
 
 def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
@@ -95,14 +98,16 @@ def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
     in_scan, in_map = CovisibilityGraph(), CovisibilityGraph()
     in_scan.add(n)
     in_map.add(n)
-    members = np.empty(0, np.int64)
+    map_number, members = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
     for k, rows in enumerate(seen):
         in_scan.see_together(np.sort(number[rows]))
         members = np.union1d(members, number[rows])
+        map_number[k + 1 :] += len(members) >= LOCAL_MAP
         if len(members) >= LOCAL_MAP or k == len(seen) - 1:
             in_map.see_together(members)
             members = np.empty(0, np.int64)
-    return SurveyedField(side, features, _drifted_map(features, poses, arcs, first, rng), poses, in_scan, in_map)
+    landmarks = _drifted_map(features, poses, arcs, first, rng)
+    return SurveyedField(side, features, landmarks, poses, in_scan, in_map, map_number[first])
 
 
 def _lawn_mower_pass(side: float) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._files import array_of, content_of, json_of, npz_members
+from slam_gym._files import array_of, content_of, json_of, zip_members
 
 MAX_BYTES = 1 << 20  # of an archive, and of its unpacked content
 _FOLDER = Path(__file__).parent
@@ -68,7 +68,7 @@ def load(name: str | Path, version: int, inputs: tuple[str, ...], shapes: Mappin
         if card.inputs != inputs:
             differing = sorted(set(card.inputs) ^ set(inputs))
             raise ValueError(f"made for other inputs: {', '.join(differing) or 'the same in another order'}")
-        contents = npz_members(path, MAX_BYTES)
+        contents = zip_members(path, MAX_BYTES)
         if contents.keys() != shapes.keys():
             raise ValueError(f"holds {', '.join(contents)}; expected {', '.join(shapes)}")
         arrays = {name: _array(name, contents[name], shape) for name, shape in shapes.items()}

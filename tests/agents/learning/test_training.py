@@ -122,14 +122,14 @@ def test_twist_is_trained_by_ppo(tmp_path):
 def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
     about, associate = read_about(associator), walk_by(associator.parent / WEIGHTS)
     assert about.training["candidates"] == 3 and about.training["order"] == "fewest_candidates"
-    _, policy = load_policy(associator)
+    (_, policy), decide = load_policy(associator), associate.keywords["policy"]
     env = BRANCHES.make().unwrapped
     observation, info = env.reset(seed=0)
     over, look = False, 0
     while not over:
         if env.walk is not None and info["look"] != look:
             look, expected = info["look"], associate(env.run.scan, env.run.prediction)
-        action = associate.policy(observation, info["action_mask"])
+        action = decide(observation, info["action_mask"])
         assert env.walk is None or action == env.action_of(expected)
         seen = {name: observation[name] for name in policy.observation_space.spaces}
         assert action == int(policy.predict(seen, deterministic=True, action_masks=info["action_mask"])[0])
@@ -137,7 +137,7 @@ def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
     again = pickle.loads(pickle.dumps(associate))
     observation, info = env.reset(seed=4)
     mask = info["action_mask"]
-    assert again.policy(observation, mask) == associate.policy(observation, mask)
+    assert again.keywords["policy"](observation, mask) == decide(observation, mask)
 
 
 def test_in_training_an_episode_of_association_ends_where_the_robot_is_astray():
