@@ -19,7 +19,7 @@ from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import DONE, NARROW, NOT_ADDED, REFUSED, Settings, learn
+from slam_gym.slam.step import DONE, NARROW, NOT_ADDED, REFUSED, Settings, forget, learn
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -177,7 +177,7 @@ class Slam:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
         self._missed_loops.learn(self._learned, prediction, hypothesis)
-        removed = self._forget() if detail else _NO_FEATURES
+        removed = self._forget(detail) if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
@@ -321,14 +321,14 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self) -> IntArray:
-        """Remove the features that were not confirmed in time, renumber what is stored by feature, and return the
-        removed ids."""
+    def _forget(self, due: int) -> IntArray:
+        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
         m, graph = self.map, self.covisibility
+        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
         *_, confirmations, before = self._settings()
-        due = (m.seen < confirmations) & (m.first_seen < before)
-        removed, became = m.ids[due], np.where(due, UNPAIRED, np.cumsum(~due) - 1)
-        graph.keep(m.remove(np.flatnonzero(due)))
+        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
+        m.learned(-due)
+        graph.learned(-due)
         self._renumber(became)
         return removed
 

@@ -7,7 +7,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import gate_pairings
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import count_pairs
+from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
@@ -87,6 +87,32 @@ def learn(
     for j in range(n + added):
         due += counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before
     return DONE, due, added
+
+
+@compiled
+def forget(
+    arrays: MapArrays,
+    n: int,
+    graph: GraphArrays,
+    rule: tuple[int, int],
+    became: IntArray,
+    removed: IntArray,
+) -> None:
+    """Marginalise out of the map the features that were not confirmed in time, as counted by `learn`.
+
+    `became` (n,) receives the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those removed.
+    """
+    counted, (neighbours, counts, degrees), (confirmations, before) = arrays[2], graph, rule
+    kept, n_kept, n_removed = np.empty(n - len(removed), np.int64), 0, 0
+    for j in range(n):
+        if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
+            became[j], removed[n_removed] = UNPAIRED, counted[ekf.IDS, j]
+            n_removed += 1
+        else:
+            became[j], kept[n_kept] = n_kept, j
+            n_kept += 1
+    ekf.keep(arrays, kept)
+    keep_nodes(neighbours, counts, degrees, n, kept)
 
 
 @compiled
