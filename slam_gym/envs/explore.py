@@ -28,7 +28,8 @@ from slam_gym.validation import one_of
 
 
 def _virtual(episode: Episode) -> VirtualMap:
-    assert episode.virtual_map is not None, "kept by Episode(…, virtual=True) only"
+    if episode.virtual_map is None:
+        raise ValueError("the episode keeps no virtual map: ask for it with Episode(…, virtual=True)")
     return episode.virtual_map
 
 

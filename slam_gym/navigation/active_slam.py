@@ -111,6 +111,8 @@ class VirtualMap:
     """
 
     def __init__(self, bounds: Array, cell: float = 1.0, prior_sigma: float = 1.0) -> None:
+        if not 0.0 < prior_sigma < math.inf:
+            raise ValueError(f"prior_sigma: expected a finite length > 0 [m], got {prior_sigma}")
         h, w = shape_of(bounds, cell)
         self.cell = float(cell)
         self.prior_sigma = float(prior_sigma)

@@ -102,8 +102,10 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: A
     No path leads through walls, unknown cells, or cells nearer than `clearance` [m] to a wall cell, centre to centre.
     At a distance d < clearance + MARGIN, a length costs 1 + CROWDING (1 − d / (clearance + MARGIN))² times its cost in
     the open. A path may start within the clearance and leave it, but cannot enter it again; a start outside the grid
-    reaches nothing.
+    reaches nothing. Raises ValueError for a clearance that is negative or not finite.
     """
+    if not 0.0 <= clearance < math.inf:
+        raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
     start = np.array(start, dtype=np.float64)
     cells, origin = (grid.cells, grid.origin) if within is None else _window(grid, within)
     levels, weights = _levels(cells, (clearance + MARGIN) / grid.resolution)

@@ -155,6 +155,9 @@ def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
     assert np.isinf(away.lengths[:, 1:3]).all() and np.isfinite(away.lengths[:, 3:]).all()
     outside = distance_field(grid, np.array([-50.0, 0.0]), 0.25)
     assert np.isinf(outside.lengths).all() and np.array_equal(outside.nearest(np.zeros(2)), [-50.0, 0.0])
+    for clearance in (-0.1, math.nan, math.inf):
+        with pytest.raises(ValueError, match="clearance"):
+            distance_field(grid, np.zeros(2), clearance)
 
 
 def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():

@@ -96,6 +96,7 @@ def test_walls_hide_and_nothing_bad_gets_in():
         (([0, 0, -1, 1],), "bounds"),
         (([0, 0, math.inf, 1],), "bounds"),
         (([0, 0, 1, 1], 0.0), "side of a cell"),
+        (([0, 0, 1, 1], 1.0, math.nan), "prior_sigma"),
     ],
 )
 def test_absurd_maps_are_refused(arguments, name):
