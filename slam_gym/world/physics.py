@@ -8,7 +8,7 @@ plan, start, generator state and actions give the same trajectory, bit for bit.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,17 +17,14 @@ import pymunk
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
 from slam_gym.validation import check_settings
-from slam_gym.world import driving
-from slam_gym.world.driving import RobotSpec
+from slam_gym.world.driving import GRAVITY, RobotSpec, Wheels
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
-from slam_gym.world.ray_casting import NO_DISCS, WallIndex, outlines
+from slam_gym.world.ray_casting import NO_DISCS, outlines
 
 _OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any further overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
-_SETTLED = 3  # ticks after the last touch in which pymunk still remembers it
-_FAR_AWAY = (1e6, 1e6, 0.0, 0.0)  # [m] x, y, [m/s] velocities
 _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
 
 
@@ -86,18 +83,11 @@ class World:
         self._contacts = _Contacts()
         self._space = _empty_space(self._step, self._contacts)
         self._add_walls(plan.walls)
-        self._walls = WallIndex(plan.walls).packed
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
         self.furniture_segments = outlines(self.furniture)  # (4f, 4) [m] W its sides
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
-        parameters = (self._step, dynamics.substeps, self._body.moment, *astuple(robot))
-        self._drive_parameters = tuple(map(float, parameters))
-        self._state = np.zeros(driving.ENTRIES)  # of the robot; its body follows only when it may touch something
-        self._state[: driving.VX] = start
-        self._update_pose()
-        driving.update_tree_entry(self._state, robot.radius)
-        self._body_is_current, self._ticks_without_contact = True, _SETTLED
+        self._wheels = Wheels(robot, self._body, self._step)
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
         self._people = People(
             plan,
@@ -121,63 +111,31 @@ class World:
             if math.isnan(forward) or math.isnan(turn):
                 raise ValueError(f"action ({forward}, {turn}) is not a number")
             forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
-        before, wheels = self.pose, np.empty(3)
-        if not self._drive_freely(forward, turn, wheels):
-            self._drive_among_others(forward, turn, wheels)
-        self._update_pose()
-        return Motion(relative(before, self.pose), wheels, self._contacts.robot_in_tick)
-
-    def _update_pose(self) -> None:
-        x, y, heading = self._state[: driving.VX].tolist()
-        self.pose = np.array([x, y, wrap_angle(heading)])  # (3,) [m, m, rad] W
-
-    def _drive_freely(self, forward: float, turn: float, wheels: Array) -> bool:
-        """One tick without pymunk; False, and nothing done, if the robot may touch something or anything else moves."""
-        if self._ticks_without_contact < _SETTLED or self._walkers or self._contacts.furniture:
-            return False
-        parameters, furniture = self._drive_parameters, self.furniture
-        free = driving.drive_freely(self._walls, furniture, parameters, forward, turn, self._state, wheels)
-        self._contacts.robot_in_tick, self._body_is_current = False, self._body_is_current and not free
-        return free
-
-    def _drive_among_others(self, forward: float, turn: float, wheels: Array) -> None:
-        """One tick by pymunk, with contacts."""
+        before, self._wheels.odometry = self.pose, [0.0, 0.0, 0.0]
         self._contacts.robot_in_tick = self._contacts.robot > 0
-        self._people.walk(self.dynamics.tick, self.pose[:2], self.furniture, self._rng)
+        self._people.walk(self.dynamics.tick, before[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
-        if not self._body_is_current:
-            self._move_body()
-        state, body, wheels[:] = self._state, self._body, 0.0
         for _ in range(self.dynamics.substeps):
-            x, y, torque = driving.push(self._drive_parameters, forward, turn, state, wheels)
-            body.force, body.torque = (x, y), torque
+            self._wheels.push(forward, turn)
             self._space.step(self._step)
-            state[: driving.VX] = *body.position, body.angle
-            driving.update_tree_entry(state, self.robot.radius)
-            state[driving.VX : driving.WHEEL_SPEED] = *body.velocity, body.angular_velocity
         if self._contacts.furniture:
             self._follow_furniture()
-        self._ticks_without_contact = 0 if self._contacts.robot_in_tick else self._ticks_without_contact + 1
+        return Motion(relative(before, self.pose), np.array(self._wheels.odometry), self._contacts.robot_in_tick)
 
-    def _move_body(self) -> None:
-        """Move the body in pymunk to the robot's present state."""
-        x, y, heading, vx, vy, turning, _, _, *last_entry = self._state[: driving.BOX].tolist()
-        body = self._body
-        for place in (_FAR_AWAY, last_entry):  # first out of its box in the tree, so that pymunk enters it again
-            body.position, body.velocity = tuple(place[:2]), tuple(place[2:])
-            self._space.reindex_shapes_for_body(body)
-        body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (vx, vy), turning
-        self._body_is_current = True
+    @property
+    def pose(self) -> Array:
+        """(3,) [m, m, rad] W, of the robot."""
+        return np.array([*self._body.position, wrap_angle(self._body.angle)])
 
     def place(self, pose: Array) -> None:
         """Put the robot at `pose` (3,) W, at rest. Raises ValueError where `pose` is not finite."""
         if np.shape(pose) != (3,) or not np.isfinite(pose).all():
             raise ValueError(f"pose must be a finite pose (3,), not {pose}")
-        self._state[: driving.ENTRY] = *pose.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0
-        driving.update_tree_entry(self._state, self.robot.radius)
-        self._move_body()
-        self._update_pose()
+        body, (x, y, heading) = self._body, pose.tolist()
+        body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (0.0, 0.0), 0.0
+        self._space.reindex_shapes_for_body(body)
+        self._wheels = Wheels(self.robot, body, self._step)
 
     def _follow_furniture(self) -> None:
         """Read the furniture's poses from pymunk, until all of it sleeps. Arrays returned earlier stay unchanged."""
@@ -218,7 +176,7 @@ class World:
         self._add(body, pymunk.Poly.create_box(body, (length, width)), _FURNITURE, others)
         ground = self._space.static_body
         slide, twist = pymunk.PivotJoint(ground, body, (x, y)), pymunk.GearJoint(ground, body, heading, 1.0)
-        slide.max_force = self.dynamics.furniture_friction * mass * driving.GRAVITY
+        slide.max_force = self.dynamics.furniture_friction * mass * GRAVITY
         twist.max_force = slide.max_force * _LEVER * math.sqrt(length * width)
         for joint in (slide, twist):
             joint.max_bias = 0.0  # hold against motion, do not pull back

@@ -243,17 +243,6 @@ def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> floa
 
 
 @compiled
-def squared_distance(x: float, y: float, segments: Array, s: int) -> float:
-    """Squared distance [m²] from (x, y) to row s of `segments` (…, 4)."""
-    ax, ay = segments[s, 0] - x, segments[s, 1] - y
-    ex, ey = segments[s, 2] - segments[s, 0], segments[s, 3] - segments[s, 1]
-    length = ex * ex + ey * ey
-    t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
-    dx, dy = ax + t * ex, ay + t * ey
-    return float(dx * dx + dy * dy)
-
-
-@compiled
 def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
     """Whether nothing stands between (x, y) and the point `pull_back` [m] short of (x, y) + (dx, dy)."""
     distance = math.hypot(dx, dy)

@@ -153,43 +153,6 @@ def test_a_robot_that_is_carried_away_starts_from_rest_where_it_is_put_down() ->
         world.place(np.array([0.0, np.nan, 0.0]))
 
 
-class ByPymunk(World):
-    """Every tick goes to pymunk."""
-
-    def _drive_freely(self, forward, turn, wheels):
-        return False
-
-
-def action_of(rng, tick, heading):
-    """Long drives in one direction, so that the robot runs into corners and furniture, and shakes there."""
-    if tick % 12 == 0:
-        heading[:] = rng.choice([1.0, 1.0, -1.0]) * rng.uniform(0.3, 1.0), rng.uniform(-0.6, 0.6)
-    return np.clip(heading + rng.normal(0.0, 0.2, 2), -1.0, 1.0)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_motion_between_contacts_and_in_them_is_that_of_pymunk(seed):
-    rng, ticks, free = np.random.default_rng(seed), 1500, 0
-    start, heading = np.array([2.0, 2.0, rng.uniform(-3.0, 3.0)]), np.zeros(2)
-    worlds = [
-        kind(TWO_ROOMS, start, RobotSpec(), DynamicsSpec(), np.random.default_rng(0)) for kind in (World, ByPymunk)
-    ]
-    traces: tuple[list, list] = ([], [])
-    for tick in range(ticks):
-        if tick == 700:
-            for world in worlds:
-                world.place(start)
-        action = action_of(rng, tick, heading)
-        for world, trace in zip(worlds, traces):
-            motion = world.tick(*action)
-            trace.append(np.concatenate([world.pose, motion.moved, motion.wheels, [motion.contact]]))
-            trace.append(world.furniture.ravel())
-        free += not worlds[0]._body_is_current
-    ours, theirs = (np.concatenate(trace) for trace in traces)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
-    assert 0.3 * ticks < free < 0.97 * ticks, "both ways were taken"
-
-
 def test_people_walk_about_and_keep_clear_of_walls_furniture_and_each_other():
     world = world_in(TWO_ROOMS, 1, 1, people=5)
     index, angles = WallIndex(np.vstack([TWO_ROOMS.walls, world.furniture_segments])), np.linspace(-3, 3, 60)
