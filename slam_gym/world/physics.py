@@ -88,6 +88,7 @@ class World:
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
         self._wheels = Wheels(robot, self._body, self._step)
+        self._update_pose()
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
         self._people = People(
             plan,
@@ -111,22 +112,23 @@ class World:
             if math.isnan(forward) or math.isnan(turn):
                 raise ValueError(f"action ({forward}, {turn}) is not a number")
             forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
-        before, self._wheels.odometry = self.pose, [0.0, 0.0, 0.0]
-        self._contacts.robot_in_tick = self._contacts.robot > 0
+        before, wheels, contacts = self.pose, self._wheels, self._contacts
+        wheels.odometry = (0.0, 0.0, 0.0)
+        contacts.robot_in_tick = contacts.robot > 0
         self._people.walk(self.dynamics.tick, before[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
         for _ in range(self.dynamics.substeps):
-            self._wheels.push(forward, turn)
+            wheels.push(forward, turn)
             self._space.step(self._step)
-        if self._contacts.furniture:
+        self._update_pose()
+        if contacts.furniture:
             self._follow_furniture()
-        return Motion(relative(before, self.pose), np.array(self._wheels.odometry), self._contacts.robot_in_tick)
+        return Motion(relative(before, self.pose), np.array(wheels.odometry), contacts.robot_in_tick)
 
-    @property
-    def pose(self) -> Array:
-        """(3,) [m, m, rad] W, of the robot."""
-        return np.array([*self._body.position, wrap_angle(self._body.angle)])
+    def _update_pose(self) -> None:
+        x, y = self._body.position
+        self.pose = np.array([x, y, wrap_angle(self._body.angle)])  # (3,) [m, m, rad] W
 
     def place(self, pose: Array) -> None:
         """Put the robot at `pose` (3,) W, at rest. Raises ValueError where `pose` is not finite."""
@@ -136,6 +138,7 @@ class World:
         body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (0.0, 0.0), 0.0
         self._space.reindex_shapes_for_body(body)
         self._wheels = Wheels(self.robot, body, self._step)
+        self._update_pose()
 
     def _follow_furniture(self) -> None:
         """Read the furniture's poses from pymunk, until all of it sleeps. Arrays returned earlier stay unchanged."""
