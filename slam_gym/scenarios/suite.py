@@ -134,8 +134,8 @@ EXPERIMENTS: dict[str, Experiment] = {
             "drift",
             "How large may the error of the heading after one tick be?",
             "At six metres, one degree is ten centimetres. All measurements are turned together, further than the "
-            "linearised gates of each allow for: 3°, 5° and 8° are the errors of the odometry of `drift-1` to "
-            "`drift-3` in the turn of one tick.",
+            "linearised gates of each allow for: 3°, 5° and 8° are the σ of the odometry of `drift-1` to "
+            "`drift-3` in the fastest turn of one tick.",
             "σ of heading before the scan [°]; position 0.1 m",
             (1.0, 3.0, 5.0, 8.0, 12.0),
             lambda sigma: _with_sensor(detection=0.9, clutter=1.0),
