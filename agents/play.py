@@ -1,6 +1,6 @@
 """`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`.
 
-A game has controls by keyboard or gamepad, a window, and a world to drive in.
+A game has a keyboard, a window, and a world to drive in.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
   ← → or A D   turn                     R   this world again
-  left stick   both                     C   another associator, from the next scan on
-  Esc          quit                     L   relocation on or off
+  C            another associator, from the next scan on
+  L            relocation on or off
+  Esc          quit
 
 You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
 has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
@@ -41,13 +42,12 @@ RIVAL = "information_gain"
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
 """The requests of the player, and their keys by pygame's names."""
 
-_IDLE = 0.15  # smaller values of a gamepad's stick are its rest position
 _BAR, _INK, _PALE = (28, 32, 38), (240, 240, 240), (170, 178, 188)
 _LINE = 18  # [pixels]
 
 
 class Controls:
-    """The player's controls: the keys that are down, the positions of the sticks, and requests."""
+    """The player's controls: the keys that are down, and requests."""
 
     name = "you"
     action: ActionKind = "twist"
@@ -59,18 +59,14 @@ class Controls:
         directions = {(1, 0): ("UP", "w"), (-1, 0): ("DOWN", "s"), (0, 1): ("LEFT", "a"), (0, -1): ("RIGHT", "d")}
         self._keys = {getattr(pygame, f"K_{key}"): way for way, keys in directions.items() for key in keys}
         self._wishes = {getattr(pygame, key): wish for wish, key in WISHES.items()}
-        self._pads: list[Any] = []
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         self._down: set[int] = set()
-        self._sticks: dict[int, float] = {}
 
     def act(self, observation: Observation, info: Info) -> NDArray[np.float32]:
-        held = {self._keys[key] for key in self._down & self._keys.keys()}
-        pushed = {axis: value for axis, value in self._sticks.items() if abs(value) > _IDLE}
-        sticks = (-pushed.get(1, 0.0), -pushed.get(0, 0.0))  # right and down are positive
-        return np.clip(np.sum([*held, sticks], axis=0), -1.0, 1.0).astype(np.float32)
+        ways = {self._keys[key] for key in self._down & self._keys.keys()}
+        return np.sum([(0.0, 0.0), *ways], axis=0).astype(np.float32)
 
     def poll(self) -> str | None:
         """Process the events since the last call; returns one of `WISHES` where the player asked for it."""
@@ -83,10 +79,6 @@ class Controls:
                 wish = self._wishes.get(event.key, wish)
             elif event.type == pygame.KEYUP:
                 self._down.discard(event.key)
-            elif event.type == pygame.JOYDEVICEADDED:
-                self._pads.append(pygame.joystick.Joystick(event.device_index))
-            elif event.type == pygame.JOYAXISMOTION:
-                self._sticks[event.axis] = event.value
         return wish
 
 

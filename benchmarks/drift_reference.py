@@ -29,7 +29,7 @@ from benchmarks.common import Record, options, table
 from slam_gym import Odometry, Scan, smooth
 from slam_gym.geometry import transform
 from slam_gym.metrics.map_quality import map_error, map_error_aligned
-from slam_gym.metrics.statistics import mean, paired_difference
+from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 
@@ -105,7 +105,7 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
         for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
             now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
-            gap = paired_difference(now, before, np.random.default_rng(0), statistic=mean)
+            gap = bootstrap_interval(now - before, np.random.default_rng(0), statistic=mean)
             row[name] = f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
             row["equal"] = row.get("equal", True) & (now == before)
         row["equal"] = int(row["equal"].sum())

@@ -35,7 +35,7 @@ from benchmarks.common import Record, options, table
 from slam_gym import weights
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
-from slam_gym.metrics.statistics import mean, paired_difference
+from slam_gym.metrics.statistics import bootstrap_interval, mean
 
 SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
 FIRST_WORLD = 30_000  # of the million of the train split, of which a training draws some hundreds
@@ -123,7 +123,7 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
         for variant, rows in group.groupby("variant", sort=False):
             errors = rows.groupby("episode")["map_error"].mean()
             first = errors if first is None else first
-            gap = paired_difference(errors.to_numpy(), first.to_numpy(), rng, statistic=mean)
+            gap = bootstrap_interval((errors - first).to_numpy(), rng, statistic=mean)
             difference = "" if first is errors else f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
             means = rows[["map_error", "precision", "recall", "duplicates"]].mean()
             yield {"scenario": scenario, "variant": variant, **means, "difference [95 %]": difference}

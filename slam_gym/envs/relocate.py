@@ -24,8 +24,6 @@ from slam_gym.slam.relocate import LocalityName
 from slam_gym.types import UNPAIRED, IntArray
 from slam_gym.validation import one_of
 
-_MAPS = 4  # maps in the cache
-
 
 @dataclass(frozen=True)
 class RelocateSettings(Settings):
@@ -217,14 +215,11 @@ class RelocateEnv(BaseEnv):
         return super()._carried_over() | {"_maps": dict(self._maps)}  # maps take long to make
 
     def _map(self, world: int) -> MappedWorld:
-        """The map of a world. The most recently used maps are cached."""
-        mapped = self._maps.pop(world, None)
-        if mapped is None:
+        """The map of a world. The last one is kept, since several episodes have it."""
+        if world not in self._maps:
             mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
-        self._maps[world] = mapped
-        if len(self._maps) > _MAPS:
-            del self._maps[next(iter(self._maps))]
-        return mapped
+            self._maps = {world: mapped}
+        return self._maps[world]
 
     def _observe(self) -> Observation:
         observation: Observation = dict(observe_walk(self.walk, self.measurements))

@@ -11,38 +11,23 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 MASK, REST = "action_mask", "observations"
 """Keys under which `MaskInObservation` puts the mask, and an observation that is not a Dict."""
 
 
-class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """All parts of the observation in one float32 vector, in the order of the space.
+class FlatObservation(gym.wrappers.FlattenObservation):
+    """All parts of the observation but images in one float32 vector, in the order of the space.
 
-    Arguments:
-        env: an environment whose observation is a Dict of Boxes.
-        image: whether to include images, scaled to [0, 1]; they would be most of the numbers.
+    Raises ValueError for an environment whose observation is not a Dict.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], image: bool = False) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, image=image)
-        super().__init__(env)
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
         space = env.observation_space
-        if not (isinstance(space, spaces.Dict) and all(isinstance(box, spaces.Box) for box in space.values())):
-            raise ValueError(f"FlatObservation: expected a Dict of Boxes, got {space}")
-        kept = {name: box for name, box in space.items() if image or not _is_image(box)}
-        if not kept:
-            raise ValueError(f"FlatObservation: nothing but images in {', '.join(space)}; image=True keeps them")
-        self._scales = {name: np.float32(1.0 / 255.0 if _is_image(box) else 1.0) for name, box in kept.items()}
-        low, high = (
-            self.observation({name: getattr(box, end) for name, box in kept.items()}) for end in ("low", "high")
-        )
-        self.observation_space = spaces.Box(low, high, dtype=np.float32)
-
-    def observation(self, observation: Any) -> NDArray[np.float32]:
-        parts = (np.asarray(observation[name], np.float32).ravel() * scale for name, scale in self._scales.items())
-        return np.concatenate(list(parts))
+        if not isinstance(space, spaces.Dict):
+            raise ValueError(f"FlatObservation: expected a Dict, got {space}")
+        kept = [name for name, box in space.items() if len(box.shape or ()) < 3]
+        super().__init__(gym.wrappers.FilterObservation(env, kept))
 
 
 class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -76,7 +61,3 @@ class RecordEveryTick(gym.wrappers.RecordVideo):
     def _capture_frame(self) -> None:
         frames: Any = self.env.render()
         self.recorded_frames += frames
-
-
-def _is_image(box: Any) -> bool:
-    return bool(box.dtype == np.uint8) and len(box.shape) == 3

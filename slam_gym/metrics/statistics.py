@@ -62,16 +62,3 @@ def bootstrap_interval(
     drawn = [group[rng.integers(0, len(group), (resamples, len(group)))] for group in groups]
     low, high = np.quantile(statistic(np.concatenate(drawn, axis=1)), [0.025, 0.975])
     return Interval(float(statistic(values)), float(low), float(high))
-
-
-def paired_difference(
-    a: Array, b: Array, rng: np.random.Generator, *, statistic: Statistic = interquartile_mean
-) -> Interval:
-    """Bootstrap interval of the statistic of a_i − b_i, for values (n,) of two methods on the same n seeds.
-
-    The methods differ significantly if the interval excludes 0. Raises ValueError where the shapes differ.
-    """
-    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    if a.shape != b.shape:
-        raise ValueError(f"paired values must have one shape, got {a.shape} and {b.shape}")
-    return bootstrap_interval(a - b, rng, statistic=statistic)

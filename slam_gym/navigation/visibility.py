@@ -78,8 +78,8 @@ def probabilities_in_view(
     sensor_figures: SensorFigures,
     explored: tuple[Cells, Array, float],
     pose: Array,
-) -> tuple[Array, int]:
-    """The probability (k,) that each feature is in view, and the first feature with an invalid number, or −1.
+) -> Array:
+    """The probability (k,) that each feature is in view; NaN for a feature with an invalid number.
 
     `positions` (k, 2) [m] and `covariances` (k, 2, 2) are in R; `pose` (3,) is that of the robot in B.
     """
@@ -88,7 +88,8 @@ def probabilities_in_view(
         x, y = positions[j, 0], positions[j, 1]
         xx, xy, yy = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
         if not (math.isfinite(x + y + xx + xy + yy) and xx >= 0.0 and yy >= 0.0):
-            return out, j
+            out[j] = math.nan
+            continue
         r = math.sqrt(x * x + y * y)
         c, s = (x / r, y / r) if r > 0.0 else (1.0, 0.0)
         along = math.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
@@ -97,7 +98,7 @@ def probabilities_in_view(
         if grid.cells.size > 0 and out[j] > 0.0:
             shorten = min(1.0, sensor.far / r) if r > 0.0 else 1.0  # whatever is seen is within the range
             out[j] *= _in_sight(grid, pose, shorten * x, shorten * y, across, sensor.unknown)
-    return out, -1
+    return out
 
 
 @compiled

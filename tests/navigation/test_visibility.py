@@ -139,10 +139,11 @@ def test_bad_fields_of_view_are_named(name, options):
         ViewsFrom(**{"angle": 2.0, "range": 5.0} | options)
 
 
-def test_the_first_feature_whose_numbers_cannot_be_is_told():
-    places, spread = np.array([[1.0, 0.0], [math.nan, 0.0]]), np.tile(np.eye(2), (2, 1, 1))
-    assert probabilities_in_view(places, spread, *NARROW.arrays, np.zeros(3))[1] == 1
-    assert probabilities_in_view(places, -spread, *NARROW.arrays, np.zeros(3))[1] == 0
+def test_a_feature_with_invalid_numbers_has_no_probability():
+    places, spread = np.array([[math.nan, 0.0], [1.0, 0.0]]), np.tile(np.eye(2), (2, 1, 1))
+    found = probabilities_in_view(places, spread, *NARROW.arrays, np.zeros(3))
+    assert math.isnan(found[0]) and 0.0 < found[1] < 1.0
+    assert np.isnan(probabilities_in_view(places, -spread, *NARROW.arrays, np.zeros(3))).all()
 
 
 @pytest.mark.parametrize("sigma", [1e3, 1e6, 1e12])

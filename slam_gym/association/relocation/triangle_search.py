@@ -40,7 +40,6 @@ _TURNS = 16  # rotations of a scan that are tried, to find narrower groups
 _ROUNDS = 6  # of locating and pairing again; two are usually enough
 _LOCATING = 30  # nodes that a location counts as: it takes as long as testing this many poses against the raster
 
-Integers16 = NDArray[np.int16]
 Integers32 = NDArray[np.int32]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
