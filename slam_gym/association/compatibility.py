@@ -19,18 +19,6 @@ from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import Array, BoolArray, IntArray, Scan
 
-_FAULTS = (
-    "",
-    "scan.points[{}] is not finite",
-    "scan.covariances[{}] is not positive semi-definite",
-    "prediction.positions[{}] is not finite",
-    "prediction.covariances[{}] has a variance that is negative or not finite",
-    "scan.covariances[{}] leaves the innovation covariance singular",
-)
-Fault = tuple[int, int]
-"""The number of a fault of the scan or the prediction in `_FAULTS`, and the index of the faulty entry."""
-
-NO_FAULT: Fault = (0, -1)
 _EVERY_ROW = np.empty(0, np.bool_)
 
 
@@ -86,16 +74,7 @@ def individual(
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
     (points, noise, *_), (positions, covariances, _) = scan.arrays, prediction.points
     most = len(positions)  # of a measurement: no limit
-    fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
-    check_fault(fault)
-    return candidates
-
-
-def check_fault(fault: Fault) -> None:
-    """Raise ValueError for a fault that a compiled search reports: what is not finite or not a covariance."""
-    number, entry = fault
-    if number:
-        raise ValueError(_FAULTS[number].format(entry))
+    return gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
 
 
 @compiled
@@ -108,13 +87,13 @@ def gate_pairings(
     eligible: BoolArray,
     gate: float,
     most: int,
-) -> tuple[Fault, Candidates]:
+) -> Candidates:
     """`individual` for eligible rows (all, where `eligible` is empty), with the `most` nearest of each measurement."""
-    offered, fault = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, capacity = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
     slots, distances, innovations = np.empty(capacity, np.int64), np.empty(capacity), np.empty((capacity, 2))
-    for level in range(len(measurements) if fault[0] == 0 else 0):
+    for level in range(len(measurements)):
         i = measurements[level]
         for o in range(len(offered)):
             j = offered[o]
@@ -126,8 +105,7 @@ def gate_pairings(
             xy = covariances[j, 0, 1] + noise[i, 0, 1]
             determinant = xx * yy - xy * xy
             if not determinant > 0.0:
-                fault = (5, i)
-                continue
+                raise ValueError(f"scan.covariances[{i}] leaves the innovation covariance singular")
             distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
                 continue
@@ -145,7 +123,7 @@ def gate_pairings(
             count += 1
         starts[level + 1] = count
     rows = offered[_number_distinct(slots[:count], len(offered))]
-    return fault, Candidates(
+    return Candidates(
         measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, capacity
     )
 
@@ -159,15 +137,17 @@ def _offered(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> tuple[IntArray, Fault]:
-    """The eligible rows whose gate reaches into the bounding box of the measurements; no other row is compatible. Also
-    the first fault of a measurement or feature, even of one that is not considered."""
+) -> IntArray:
+    """The eligible rows whose gate reaches into the bounding box of the measurements; no other row is compatible.
+
+    Raises ValueError for the first invalid number of a measurement or feature, even of one that is not considered.
+    """
     for i in range(len(points)):
         if not math.isfinite(points[i, 0] + points[i, 1]):
-            return np.empty(0, np.int64), (1, i)
+            raise ValueError(f"scan.points[{i}] is not finite")
         a, b, d = noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1]
         if not (a >= 0.0 and d >= 0.0 and a * d - b * b >= -1e-9 * a * d and math.isfinite(a + d)):
-            return np.empty(0, np.int64), (2, i)
+            raise ValueError(f"scan.covariances[{i}] is not positive semi-definite")
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     most_x, most_y = 0.0, 0.0
     for i in measurements:
@@ -178,16 +158,16 @@ def _offered(
     for j in range(len(positions)):
         px, py, xx, yy = positions[j, 0], positions[j, 1], covariances[j, 0, 0], covariances[j, 1, 1]
         if not math.isfinite(px + py):
-            return offered[:0], (3, j)
+            raise ValueError(f"prediction.positions[{j}] is not finite")
         if not (0.0 <= xx < math.inf and 0.0 <= yy < math.inf):
-            return offered[:0], (4, j)
+            raise ValueError(f"prediction.covariances[{j}] has a variance that is negative or not finite")
         if len(eligible) > 0 and not eligible[j]:
             continue
         x, y = max(left - px, px - right, 0.0), max(bottom - py, py - top, 0.0)
         if x * x < gate * (xx + most_x) and y * y < gate * (yy + most_y):
             offered[count] = j
             count += 1
-    return offered[:count], NO_FAULT
+    return offered[:count]
 
 
 @compiled

@@ -19,7 +19,7 @@ from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import DONE, NARROW, NOT_ADDED, REFUSED, Settings, forget, learn
+from slam_gym.slam.step import DONE, NARROW, REFUSED, Settings, forget, learn
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -294,9 +294,7 @@ class Slam:
         """The error that tells why `learn` refused the scan."""
         if ended == REFUSED:
             return refused_update(detail, scan, features, self.map.n)
-        if ended == NOT_ADDED:
-            return bad_measurement(scan, detail)
-        return ValueError(f"scan.covariances[{detail}] leaves the innovation covariance singular")
+        return bad_measurement(scan, detail)
 
     def _row_for(self, count: int) -> IntArray:
         """The row of `_recent` for the features of a scan of `count` measurements; it replaces the oldest scan."""

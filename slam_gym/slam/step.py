@@ -12,7 +12,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
 
-DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # outcomes of `learn`
+DONE, NARROW, REFUSED, NOT_ADDED = range(4)  # outcomes of `learn`
 
 GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
 Settings = tuple[int, float, bool, float, int, int]
@@ -47,7 +47,7 @@ def learn(
 
     Returns the outcome, a detail of it, and the number of features added. The details: DONE, the number of features
     that are due to be removed; NARROW, the width that the graph needs (nothing is changed); REFUSED, the answer of
-    `update` (nothing is changed); SINGULAR or NOT_ADDED, the measurement from which no feature can be started.
+    `update` (nothing is changed); NOT_ADDED, the measurement from which no feature can be started.
     """
     (x, P, counted, _), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
@@ -58,16 +58,14 @@ def learn(
             width = max(width, degrees[feature] + m)
     if width > neighbours.shape[1]:
         return NARROW, width, 0
+    if not is_decided:
+        fit_nothing(points, covariances, features, expected, gate, new)
     # update
     refused = update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
     if refused != ACCEPTED:
         return REFUSED, refused, 0
     ekf.record(arrays, step, scan, features)
     # add
-    if not is_decided:
-        singular = fit_nothing(points, covariances, features, expected, gate, new)
-        if singular != UNPAIRED:
-            return SINGULAR, singular, 0
     for i in range(m):
         feature = features[i]
         if new[i]:
@@ -118,10 +116,9 @@ def forget(
 @compiled
 def fit_nothing(
     points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
-) -> int:
-    """Enter in `new` (m,) the unpaired measurements compatible with nothing; return one where S is singular, or −1."""
+) -> None:
+    """Enter in `new` (m,) the unpaired measurements compatible with nothing. Raises ValueError where S is singular."""
     unpaired, every_row = np.flatnonzero(features == UNPAIRED), np.empty(0, np.bool_)
-    fault, candidates = gate_pairings(points, noise, expected[0], expected[1], unpaired, every_row, gate, 1)
+    candidates = gate_pairings(points, noise, expected[0], expected[1], unpaired, every_row, gate, 1)
     new[:] = False
     new[unpaired] = candidates.starts[1:] == candidates.starts[:-1]
-    return fault[1]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.compatibility import NO_FAULT, joint_gates
+from slam_gym.association.compatibility import joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, offer
 from slam_gym.association.tree import (
@@ -38,7 +38,7 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) ->
 
     Where the prediction has localities, two searches are made (`near_first`). Each is limited to `node_limit` nodes and
     a million joint tests. Where a limit is reached, `effort.limit_hit` is set and the best hypothesis so far is
-    returned. Raises ValueError as `check_fault`, and for a node limit below 1.
+    returned. Raises ValueError as `individual`, and for a node limit below 1.
     """
     check_node_limit(node_limit)
     gates = joint_gates(max(len(scan), 1), prediction.confidence)
@@ -54,11 +54,11 @@ def check_node_limit(node_limit: int) -> None:
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    rows, distance, spent, fault = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), NO_FAULT
+    rows, distance, spent = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False)
     for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, gates[1], len(expected.features))
-        fault, best = offered.fault, _Best(distance, 0, 0, False)
-        if fault[0] == 0 and len(offered.pairings.slots) > offered.pairings.fixed:
+        best = _Best(distance, 0, 0, False)
+        if len(offered.pairings.slots) > offered.pairings.fixed:
             best = branch_and_bound(offered.pairings, offered.rows, gates, node_limit, rows)
         distance = best.distance
         spent = Spent(
@@ -67,9 +67,9 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
             spent.joint_tests + best.tests,
             spent.limit_hit or best.limit_hit,
         )
-        if fault[0] != 0 or not (rows == UNPAIRED).any():
+        if not (rows == UNPAIRED).any():
             break
-    return decided(expected, rows, distance, spent, fault)
+    return decided(expected, rows, distance, spent)
 
 
 class _Best(NamedTuple):

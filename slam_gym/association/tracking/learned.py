@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import Fault, check_fault
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.hypotheses import LimitFields, Limits, limits_of, scan_area, weighed
 from slam_gym.association.tracking.marginal import (
@@ -71,13 +70,12 @@ class Example(NamedTuple):
 
 
 def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
-    """The search of each narrow heading. Raises ValueError as `check_fault`."""
+    """The search of each narrow heading. Raises ValueError as `individual`."""
     prior, limits = prior_of(prediction.experience), limits_of(scan, prediction, width, margin)
     out: list[Example] = []
     count = 1
     while len(out) < count:
-        example, count, fault = _example(scan.arrays, prediction.arrays, prior, limits, len(out))
-        check_fault(fault)
+        example, count = _example(scan.arrays, prediction.arrays, prior, limits, len(out))
         out.append(example)
     return out
 
@@ -89,12 +87,12 @@ def _example(
     prior_arrays: PriorArrays,
     limit_fields: LimitFields,
     number: int,
-) -> tuple[Example, int, Fault]:
+) -> tuple[Example, int]:
     """The example of one narrow heading, by its number, and how many headings there are."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     prior, limits = Prior(*prior_arrays), Limits(*limit_fields)
     m, area = len(scan[0]), scan_area(scan[0])
-    headings, fault = headings_of(scan, expected, prior, area, limits, True)
+    headings = headings_of(scan, expected, prior, area, limits, True)
     heading = headings[number]
     problem = problem_of(heading, scan, expected, limits.gate)
     inputs = inputs_of(scan, problem, expected, prior.run)
@@ -102,8 +100,5 @@ def _example(
     kept = search_all([search], m, expected, prior, limits, prices_of(prior, area, m))
     scores = weighed(kept, prior.detections, len(expected.features)).scores
     candidates = heading.candidates
-    return (
-        Example(inputs, candidates.measured, candidates.rows[candidates.slots], kept.rows, scores),
-        len(headings),
-        fault,
-    )
+    rows = candidates.rows[candidates.slots]
+    return Example(inputs, candidates.measured, rows, kept.rows, scores), len(headings)

@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import NO_FAULT
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
 from slam_gym.association.tracking.beam import Beam
 from slam_gym.association.tracking.headings import Part
@@ -58,7 +57,7 @@ def map_hypothesis(
         width: hypotheses kept at each level.
         margin: a hypothesis whose log density is this much less than that of the best is dropped.
 
-    Raises ValueError as `check_fault` and `limits_of`; for a detection outside (0, 1) and a density that is not
+    Raises ValueError as `individual` and `limits_of`; for a detection outside (0, 1) and a density that is not
     positive.
     """
     if not 0.0 < detection < 1.0:
@@ -79,16 +78,16 @@ def _decide(
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     (detection, density), limits, m = rates, Limits(*limit_fields), len(scan[0])
-    rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
+    rows, spent = np.full(m, UNPAIRED), Spent(0, 0, 0, False)
     posterior = 0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)
     positions, covariances = expected.positions, expected.covariances
     part = Part(0.0, expected.pose[3], positions, covariances, 0.0, expected.across, np.empty((0, 0)))  # all headings
     visible = visibility(expected, positions, covariances)
     for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
-        fault, tests = offered.fault, spent.individual_tests + offered.tests
+        tests = spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
-        if fault[0] == 0 and (search == 0 or len(offered.pairings.slots) > offered.pairings.fixed):
+        if search == 0 or len(offered.pairings.slots) > offered.pairings.fixed:
             levels = levels_of(offered.pairings, offered.starts, limits.gate)
             problem = ScanProblem(
                 part, offered.pairings, offered.starts, levels, offered.rows, visible, detection, density
@@ -101,9 +100,9 @@ def _decide(
             sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
             rows[:] = searched.rows[np.argmax(sums.scores)]
             posterior = posterior_of(expected, searched.rows, sums, rows)
-        if fault[0] != 0 or not (rows == UNPAIRED).any():
+        if not (rows == UNPAIRED).any():
             break
-    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, fault), posterior
+    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent), posterior
 
 
 @compiled

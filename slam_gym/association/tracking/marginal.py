@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import NO_FAULT, Candidates, Fault, check_fault, gate_pairings
+from slam_gym.association.compatibility import Candidates, gate_pairings
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
 from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
@@ -108,7 +108,7 @@ def marginal(
         width, margin: as in `map_hypothesis`.
         network: adds learned log odds to every pairing (see `learned`).
 
-    Raises ValueError as `check_fault` and `limits_of`, and for costs that are less than 1 or not finite.
+    Raises ValueError as `individual` and `limits_of`, and for costs that are less than 1 or not finite.
     """
     past = prediction.experience or NOTHING_SEEN
     costs = cost, cost if provisional_cost is None else provisional_cost
@@ -140,7 +140,6 @@ def weigh(
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
     limits, prior = limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
     answer, fields, posterior = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
-    check_fault(answer.fault)
     return answer, Marginals(*fields), posterior
 
 
@@ -201,15 +200,7 @@ def _decide(
     threshold, provisional, confirmations = rule
     m, area = len(scan[0]), scan_area(scan[0])
     rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
-    headings, fault = headings_of(scan, expected, prior, area, limits, len(network.centre) > 0)
-    if fault[0] != 0:
-        nothing = np.empty(m)
-        refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
-        return (
-            refused,
-            (np.empty((m, 0)), nothing, new, prior.detections, area),
-            (0.0, 0.0, rows, 0.0, nothing, nothing),
-        )
+    headings = headings_of(scan, expected, prior, area, limits, len(network.centre) > 0)
     searches = _promising(headings, scan, expected, prior, limits, prices, network)
     kept = search_all(searches, m, expected, prior, limits, prices)
     crowded = np.zeros(m, np.bool_)  # measurements with so many candidates that some may have been dropped
@@ -223,7 +214,7 @@ def _decide(
         new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold and not crowded[i]
     nodes, individual_tests, joint_tests, cut = kept.spent
     spent = Spent(nodes, individual_tests, joint_tests, cut or bool(crowded.any()))
-    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
+    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
     marginal_fields = sums.pairings, sums.unpaired, new, sums.by_value, area
     return answer, marginal_fields, posterior_of(expected, kept.rows, sums, rows)
 
@@ -240,23 +231,21 @@ def prices_of(prior: Prior, area: float, m: int) -> Array:
 @compiled
 def headings_of(
     scan: ScanArrays, expected: Expected, prior: Prior, area: float, limits: Limits, learned: bool
-) -> tuple[list[HeadingCandidates], Fault]:
-    """The candidates in every narrow heading; and a fault.
+) -> list[HeadingCandidates]:
+    """The candidates in every narrow heading.
 
     A search in one heading uses a single P_D, the mean, and a single λ, which counts the measurements without a
     candidate.
     """
     points, noise = scan[0], scan[1]
     odds = np.exp(prior.detections - prior.detections.max())
-    detection, fault = (odds * prior.values).sum() / odds.sum(), NO_FAULT
+    detection = (odds * prior.values).sum() / odds.sum()
     headings: list[HeadingCandidates] = []
     for part in parts_of(expected):
-        part_fault, candidates = gate_pairings(
+        candidates = gate_pairings(
             points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_),
             limits.gate, limits.most,
         )  # fmt: skip
-        if part_fault[0] != 0:
-            fault = part_fault
         unmatched = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
         density, bound = (prior.unpaired + unmatched) / (prior.area + area), math.inf
         if not learned:  # each measurement takes its best choice, in view and without error
@@ -266,7 +255,7 @@ def headings_of(
                     total += max(unpaired, gain + greatest_log_density(noise[i]))
             bound = part.log_weight + total
         headings.append(HeadingCandidates(part, candidates, unmatched, detection, density, bound))
-    return headings, fault
+    return headings
 
 
 @compiled

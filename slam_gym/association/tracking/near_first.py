@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import NO_FAULT, Fault, check_fault, chi2_gate, gate_pairings
+from slam_gym.association.compatibility import chi2_gate, gate_pairings
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint
 from slam_gym.association.tree import Pairings
 from slam_gym.mapping.covisibility import among
@@ -30,7 +30,6 @@ class Offer(NamedTuple):
     starts: IntArray  # (l + 1,) index of the first candidate of each undecided measurement, not counting fixed pairings
     rows: IntArray  # (u,) row of the prediction of each slot
     tests: int  # pairings tested for individual compatibility
-    fault: Fault
 
 
 class Spent(NamedTuple):
@@ -49,11 +48,9 @@ class Decided(NamedTuple):
     distance: float  # D²_H
     pairings: int
     spent: tuple[int, int, int, bool]  # `Spent`
-    fault: Fault
 
     def hypothesis(self, **others: Any) -> Hypothesis:
-        """The hypothesis; `others` are further fields of it. Raises ValueError as `check_fault`."""
-        check_fault(self.fault)
+        """The hypothesis; `others` are further fields of it."""
         return Hypothesis(self.features, self.distance, 2 * self.pairings, Effort(*self.spent), **others)
 
 
@@ -66,7 +63,7 @@ def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: 
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
         eligible = eligible[:0]  # all of them
-    fault, candidates = gate_pairings(
+    candidates = gate_pairings(
         points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate, most
     )
     paired = np.flatnonzero(rows != UNPAIRED)
@@ -84,18 +81,18 @@ def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: 
         local,
         len(fixed),
     )
-    return Offer(pairings, candidates.starts, offered, candidates.tests, fault)
+    return Offer(pairings, candidates.starts, offered, candidates.tests)
 
 
 @compiled
-def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent, fault: Fault) -> Decided:
+def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent) -> Decided:
     """The decision that pairs measurements with `rows` (m,) of the prediction."""
     features, pairings = np.full(len(rows), UNPAIRED), 0
     for i in range(len(rows)):
         if rows[i] != UNPAIRED:
             features[i] = expected.features[rows[i]]
             pairings += 1
-    return Decided(features, distance, pairings, spent[:], fault)
+    return Decided(features, distance, pairings, spent[:])
 
 
 @compiled
@@ -125,19 +122,18 @@ def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> f
 def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent: Spent) -> Decided:
     """`decided` with its D²_H, to be called from Python."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
+    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
 
 
 def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort]) -> Hypothesis:
     """The hypothesis of a `search` written in Python, which writes its pairings to `rows` (m,) of the prediction.
 
-    Raises ValueError as `check_fault`.
+    Raises ValueError as `individual`.
     """
     rows, effort = np.full(len(scan), UNPAIRED), Effort()
     gate = chi2_gate(2, prediction.confidence)
     for near in (True, False):
         offered = offer(scan.arrays, prediction.arrays, rows, near, gate, len(prediction))
-        check_fault(offered.fault)
         effort = _combined(effort, Effort(individual_tests=offered.tests))
         if len(offered.pairings.slots) > offered.pairings.fixed:
             effort = _combined(effort, search(offered, rows))

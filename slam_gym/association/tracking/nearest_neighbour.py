@@ -17,7 +17,7 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     """ICNN: each measurement is paired with its individually compatible feature of least D²_ij.
 
     Measurements are decided independently, so a feature may be paired more than once. Raises ValueError as
-    `check_fault`.
+    `individual`.
     """
     gate = chi2_gate(2, prediction.confidence)
     return _decide(scan.arrays, prediction.arrays, gate, False).hypothesis(exclusive=False)
@@ -26,7 +26,7 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
     """SINGLES: a pairing is made where each of the two is the only individually compatible one for the other.
 
-    Raises ValueError as `check_fault`.
+    Raises ValueError as `individual`.
     """
     gate = chi2_gate(2, prediction.confidence)
     return _decide(scan.arrays, prediction.arrays, gate, True).hypothesis(exclusive=False)
@@ -42,7 +42,7 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     ignored. The problem is solved exactly, by scipy's linear assignment.
 
     Localities of the prediction are used as in `jcbb`, except that pairings of the second search, which are made all at
-    once, do not restrict each other. Raises ValueError as `check_fault`.
+    once, do not restrict each other. Raises ValueError as `individual`.
     """
     from scipy.optimize import linear_sum_assignment  # its import takes as long as all others together
 
@@ -77,19 +77,18 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     m = len(scan[0])
     rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
-    fault, candidates = gate_pairings(
+    candidates = gate_pairings(
         scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate,
         len(expected.features),
     )  # fmt: skip
     starts, slots = candidates.starts, candidates.slots
-    if fault[0] == 0:
-        claims = np.zeros(len(candidates.rows), np.int64)
-        for slot in slots:
-            claims[slot] += 1
-        for i in range(m):
-            if starts[i] == starts[i + 1]:
-                continue
-            if not mutual or (starts[i] + 1 == starts[i + 1] and claims[slots[starts[i]]] == 1):
-                rows[i] = candidates.rows[slots[starts[i]]]
+    claims = np.zeros(len(candidates.rows), np.int64)
+    for slot in slots:
+        claims[slot] += 1
+    for i in range(m):
+        if starts[i] == starts[i + 1]:
+            continue
+        if not mutual or (starts[i] + 1 == starts[i + 1] and claims[slots[starts[i]]] == 1):
+            rows[i] = candidates.rows[slots[starts[i]]]
     distance = joint_distance_of(scan, expected, rows)
-    return decided(expected, rows, distance, Spent(m, candidates.tests, 0, False), fault)
+    return decided(expected, rows, distance, Spent(m, candidates.tests, 0, False))

@@ -28,7 +28,7 @@ def one_point_ransac(
     Draws end once the probability of having missed a right candidate is below 1 − `success`, if as many of the c
     candidates are right as the best draw pairs: after log(1 − success) / log(1 − pairings / c) draws, or after `tries`
     (`effort.limit_hit`). Gates are individual: no test covers all pairings together. Localities of the prediction are
-    used as in `jcbb`. Raises ValueError as `check_fault`, for fewer tries than one, and for a `success` outside (0, 1).
+    used as in `jcbb`. Raises ValueError as `individual`, for fewer tries than one, and for a `success` outside (0, 1).
     """
     if tries < 1:
         raise ValueError(f"tries: {tries} is less than 1")
