@@ -104,15 +104,14 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
 
 
 @compiled
-def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i: int) -> bool:
-    """Append feature n, x_F = x_R ⊕ z with z measurement i, its covariance by linearisation; False where z is invalid.
+def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i: int) -> None:
+    """Append feature n, x_F = x_R ⊕ z with z measurement i, its covariance by linearisation.
 
-    P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t.
+    P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t. Raises ValueError for an invalid z.
     """
     (x, P, counted, sized), (points, covariances, sizes, variances, kinds) = arrays, scan
     d, point, R = 3 + 2 * n, points[i], covariances[i]
-    if not (math.isfinite(point[0] + point[1]) and is_covariance(R)):
-        return False
+    check_measurement(points, covariances, i)
     c, s = math.cos(x[2]), math.sin(x[2])
     x[d], x[d + 1] = x[0] + c * point[0] - s * point[1], x[1] + s * point[0] + c * point[1]
     dx, dy = x[d] - x[0], x[d + 1] - x[1]
@@ -125,7 +124,13 @@ def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i:
     counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kinds[i]
     counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
     sized[SIZES, n], sized[VARIANCES, n] = sizes[i], variances[i]
-    return True
+
+
+@compiled
+def check_measurement(points: Array, covariances: Array, i: int) -> None:
+    """Raise ValueError unless measurement i is finite, with a valid covariance."""
+    if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
+        raise ValueError(f"scan: measurement {i} is not finite, or its covariance is invalid")
 
 
 @compiled

@@ -21,7 +21,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
-from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
+from slam_gym.mapping.update import update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 from slam_gym.validation import check_settings
 
@@ -235,9 +235,7 @@ class StochasticMap:
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self.moved()
         measured, passes = (scan.points, scan.covariances), (self.spec.iterations, self.spec.settled)
-        refused = update(self._x, self._P, self.n, measured, features, passes, self.spec.right_invariant)
-        if refused != ACCEPTED:
-            raise refused_update(refused, scan, features, self.n)
+        update(self._x, self._P, self.n, measured, features, passes, self.spec.right_invariant)
         ekf.record(self.arrays, self.step, scan.arrays, features)
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
@@ -249,8 +247,7 @@ class StochasticMap:
         first, measured = self.n, scan.arrays
         for i in measurements:
             self.make_room(1)
-            if not ekf.add(self.arrays, self.n, self.step, self.next_id, measured, int(i)):
-                raise bad_measurement(scan, i)
+            ekf.add(self.arrays, self.n, self.step, self.next_id, measured, int(i))
             self.learned(1)
         return np.arange(first, self.n)
 
@@ -406,20 +403,3 @@ def existing(features: IntArray, n: int) -> IntArray:
     if np.any((features < 0) | (features >= n)):
         raise ValueError(f"features: {features.tolist()} do not all exist in a map of {n} features")
     return features
-
-
-def refused_update(refused: int, scan: Scan, features: IntArray, n: int) -> ValueError:
-    """The error for an update of a map of n features that `mapping.update.update` refused with the code `refused`."""
-    if refused == NO_SUCH_FEATURE:
-        return ValueError(f"features: {features.tolist()} for a map of {n} features")
-    if refused == len(scan):
-        return ValueError("the innovation covariance is singular to working precision")
-    return bad_measurement(scan, refused)
-
-
-def bad_measurement(scan: Scan, i: int) -> ValueError:
-    """The error for a measurement i that can neither update nor start a feature."""
-    return ValueError(
-        f"scan: measurement {i} is not finite, or its covariance is invalid: "
-        f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"
-    )

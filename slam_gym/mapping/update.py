@@ -24,11 +24,9 @@ import numpy as np
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.geometry import wrap_angle
-from slam_gym.mapping.ekf import turned
-from slam_gym.mapping.linear_algebra import LANES, ROUNDING, cholesky, is_covariance, subtract_squares, whiten
+from slam_gym.mapping.ekf import check_measurement, turned
+from slam_gym.mapping.linear_algebra import LANES, ROUNDING, cholesky, subtract_squares, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray
-
-ACCEPTED, NO_SUCH_FEATURE = -1, -2  # returned by `update`
 
 
 @compiled
@@ -40,7 +38,7 @@ def update(
     features: IntArray,
     passes: tuple[int, float],
     invariant: bool,
-) -> int:
+) -> None:
     """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
 
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
@@ -53,20 +51,18 @@ def update(
         passes: most iterations; and `settled` [σ of the state].
         invariant: whether the error is right-invariant.
 
-    Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
-    no covariance, or m where S is singular.
+    Raises ValueError, with nothing changed, for a feature that does not exist, for a paired measurement that is not
+    finite or whose R is no covariance, and where S is singular.
     """
     d = 3 + 2 * n
     passes_left, settled = passes
-    refused, z, R, paired = _pairings(scan, features, n)
-    if refused != ACCEPTED:
-        return refused
+    z, R, paired = _pairings(scan, features, n)
     x_old, x_lin = x, x  # x_lin: the state at which H is evaluated
     change = np.zeros((d + LANES - 1) // LANES * LANES)  # as long as the rows of P
     while True:
         nu, W, S = _innovation(x_old, x_lin, change, P, d, (z, R, paired))
         if not cholesky(S):
-            return len(features)
+            raise ValueError("the innovation covariance is singular to working precision")
         whiten(S, W, nu)
         previous, passes_left = change, passes_left - 1
         change, x_new = _corrected(x, W, nu, d, invariant)
@@ -82,28 +78,23 @@ def update(
     for j in range(d):
         x[j] = x_new[j]
     x[2] = wrap_angle(x[2])
-    return ACCEPTED
 
 
 @compiled
-def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[int, Array, Array, IntArray]:
-    """ACCEPTED or the refusal that `update` returns; points (k, 2), covariances (k, 2, 2) and features (k,) paired."""
+def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[Array, Array, IntArray]:
+    """Points (k, 2), covariances (k, 2, 2) and features (k,) of the pairings, all valid; else ValueError."""
     points, covariances = scan
     measured, k = np.empty(len(features), np.int64), 0
-    refused = ACCEPTED
     for i in range(len(features)):
         if features[i] == UNPAIRED:
             continue
         if not 0 <= features[i] < n:
-            refused = NO_SUCH_FEATURE
-            break
-        if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
-            refused = i
-            break
+            raise ValueError(f"features: measurement {i} is paired with feature {features[i]} of {n}")
+        check_measurement(points, covariances, i)
         measured[k] = i
         k += 1
     measured = measured[:k]
-    return refused, points[measured], covariances[measured], features[measured]
+    return points[measured], covariances[measured], features[measured]
 
 
 @compiled

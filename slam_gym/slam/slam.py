@@ -13,13 +13,13 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import DONE, NARROW, REFUSED, Settings, forget, learn
+from slam_gym.slam.step import Settings, forget, learn
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -161,23 +161,21 @@ class Slam:
         is_decided, recent, ids = hypothesis.new is not None, self._row_for(count), np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
-        ended = NARROW
-        while ended == NARROW:
-            ended, detail, added = learn(
+        while True:
+            added, due, width = learn(
                 m.arrays, m.numbers, graph.arrays, recent, scan.arrays, decisions, expected, self._settings()
             )
-            if ended == NARROW:
-                graph.widen(detail)
+            if width == 0:
+                break
+            graph.widen(width)
         self._experience = hypothesis.experience or self._experience
         m.learned(added)
         graph.learned(added)
-        if ended != DONE:
-            raise self._refusal(ended, detail, scan, hypothesis.features)
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
         self._missed_loops.learn(self._learned, prediction, hypothesis)
-        removed = self._forget(detail) if detail else _NO_FEATURES
+        removed = self._forget(due) if due else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
@@ -289,12 +287,6 @@ class Slam:
         spec = self.spec.map
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
-
-    def _refusal(self, ended: int, detail: int, scan: Scan, features: IntArray) -> ValueError:
-        """The error that tells why `learn` refused the scan."""
-        if ended == REFUSED:
-            return refused_update(detail, scan, features, self.map.n)
-        return bad_measurement(scan, detail)
 
     def _row_for(self, count: int) -> IntArray:
         """The row of `_recent` for the features of a scan of `count` measurements; it replaces the oldest scan."""

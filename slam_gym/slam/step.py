@@ -9,10 +9,8 @@ from slam_gym.association.compatibility import gate_pairings
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.update import ACCEPTED, update
+from slam_gym.mapping.update import update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
-
-DONE, NARROW, REFUSED, NOT_ADDED = range(4)  # outcomes of `learn`
 
 GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
 Settings = tuple[int, float, bool, float, int, int]
@@ -45,9 +43,8 @@ def learn(
             feature are entered there; and an array (m,) that receives the id of each measurement's feature, or NO_ID.
         expected: positions (k, 2) and covariances (k, 2, 2) of the features expected.
 
-    Returns the outcome, a detail of it, and the number of features added. The details: DONE, the number of features
-    that are due to be removed; NARROW, the width that the graph needs (nothing is changed); REFUSED, the answer of
-    `update` (nothing is changed); NOT_ADDED, the measurement from which no feature can be started.
+    Returns the number of features added, the number of those due to be removed, and 0; or, with nothing changed, zeros
+    and the width that the graph needs. Raises ValueError as `fit_nothing`, `update` and `ekf.add`.
     """
     (x, P, counted, _), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
@@ -57,21 +54,18 @@ def learn(
         if feature != UNPAIRED:
             width = max(width, degrees[feature] + m)
     if width > neighbours.shape[1]:
-        return NARROW, width, 0
+        return 0, 0, width
     if not is_decided:
         fit_nothing(points, covariances, features, expected, gate, new)
     # update
-    refused = update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
-    if refused != ACCEPTED:
-        return REFUSED, refused, 0
+    update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
     ekf.record(arrays, step, scan, features)
     # add
     for i in range(m):
         feature = features[i]
         if new[i]:
             feature = n + added
-            if not ekf.add(arrays, feature, step, next_id + added, scan, i):
-                return NOT_ADDED, i, added
+            ekf.add(arrays, feature, step, next_id + added, scan, i)
             degrees[feature] = 0
             added += 1
         ids[i] = NO_ID
@@ -84,7 +78,7 @@ def learn(
     due = 0
     for j in range(n + added):
         due += counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before
-    return DONE, due, added
+    return added, due, 0
 
 
 @compiled
