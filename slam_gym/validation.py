@@ -18,15 +18,6 @@ _CONDITION = 1e12  # of a measurement's covariance, above which an update loses 
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, relative to the variances' product
 _INTEGERS = np.dtype(np.int64)
 
-_MEASUREMENT_FAULTS = (
-    "",
-    "points are not finite",
-    "covariance is not finite",
-    "covariance is not symmetric",
-    "covariance is not PSD",
-    f"covariance has a condition number above {_CONDITION:.0e}",
-)
-
 Limits = tuple[float, float]
 
 _LENGTH: Limits = (0.01, 1e3)  # [m]
@@ -94,23 +85,22 @@ def check_settings(settings: object) -> None:
 
 
 @compiled
-def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
-    """The index of the first faulty measurement and the number of its fault; (−1, 0) if there is none."""
+def check_measurements(points: Array, covariances: Array) -> None:
+    """`check_scan` for its points (m, 2) and covariances (m, 2, 2)."""
     for i in range(points.shape[0]):
         if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
-            return i, 1
+            raise ValueError(f"Scan: measurement {i}: points are not finite")
         a, b, c, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 0], covariances[i, 1, 1]
         if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)):
-            return i, 2
+            raise ValueError(f"Scan: measurement {i}: covariance is not finite")
         trace, determinant = a + d, a * d - b * b
         if abs(b - c) > _TOLERANCE * (abs(a) + abs(d)):
-            return i, 3
+            raise ValueError(f"Scan: measurement {i}: covariance is not symmetric")
         if a < 0.0 or d < 0.0 or determinant < -_TOLERANCE * a * d:
-            return i, 4
+            raise ValueError(f"Scan: measurement {i}: covariance is not PSD")
         # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, passes
         if trace * trace > _CONDITION * determinant:
-            return i, 5
-    return -1, 0
+            raise ValueError(f"Scan: measurement {i}: covariance has a condition number above 1e12")
 
 
 def check_inputs(odometry: Odometry, scan: Scan) -> None:
@@ -123,9 +113,7 @@ def check_inputs(odometry: Odometry, scan: Scan) -> None:
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the first faulty measurement of a scan and its fault."""
-    entry, fault = first_bad_measurement(scan.points, scan.covariances)
-    if fault:
-        raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
+    check_measurements(scan.points, scan.covariances)
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:

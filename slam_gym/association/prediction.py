@@ -21,12 +21,11 @@ from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
-from slam_gym.mapping.measurement import BAD_ODOMETRY, BAD_SCAN, RowArrays, foresee, joint_covariance, rows_for
+from slam_gym.mapping.measurement import RowArrays, foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
 from slam_gym.types._fields import floats, kinds_of, sizes_of
-from slam_gym.validation import check_scan
 
 Entry = TypeVar("Entry", bound=np.generic)
 
@@ -345,10 +344,6 @@ def predict(
     neighbours, degrees = (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
     spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)
     k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (neighbours, degrees, recent), pose, rows)
-    if k == BAD_SCAN and scan is not None:
-        check_scan(scan)
-    if k == BAD_ODOMETRY:
-        raise ValueError(f"odometry: not finite, or its covariance is not positive semi-definite: {odometry}")
     if odometry is not None:
         m.moved()
     (x, P, _, _), size = m.arrays, (k, m.n, spec.second_order, view_moves)

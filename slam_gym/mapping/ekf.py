@@ -36,13 +36,14 @@ def turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, 
 
 
 @compiled
-def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
-    """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (nothing is changed) where u or Q is invalid.
+def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> None:
+    """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF.
 
     F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
+    Raises ValueError, with nothing changed, where u is not finite or Q is no covariance.
     """
     if not (math.isfinite(motion[0] + motion[1] + motion[2]) and is_covariance(Q)):
-        return False
+        raise ValueError("odometry: not finite, or its covariance is not positive semi-definite")
     c, s = math.cos(x[2]), math.sin(x[2])
     x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
     dx, dy = x_new - x[0], y_new - x[1]
@@ -59,7 +60,6 @@ def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
     for j in range(len(rows_t)):
         rows_x[j] -= dy * rows_t[j]
         rows_y[j] += dx * rows_t[j]
-    return True
 
 
 def symmetric(P: Array, d: int) -> Array:

@@ -29,7 +29,7 @@ from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays, turned
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
-from slam_gym.validation import first_bad_measurement
+from slam_gym.validation import check_measurements
 
 RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
@@ -42,8 +42,6 @@ paired, or UNPAIRED."""
 Rule = tuple[float, bool, float, float]
 """Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
 the gate of an old feature above which it is not offered."""
-
-BAD_ODOMETRY, BAD_SCAN = -1, -2  # returned by `foresee` in place of a number of rows
 
 
 def rows_for(n: int) -> RowArrays:
@@ -91,14 +89,13 @@ def foresee(
         scan: points (m, 2) and covariances (m, 2, 2), which are only checked.
         pose: (4,) receives the predicted pose and the variance of its heading.
 
-    Returns the number of rows k; or BAD_SCAN or BAD_ODOMETRY, and the robot does not move.
+    Returns the number of rows k. Raises ValueError, before the robot moves, as `check_scan` and `ekf.predict`.
     """
     (x, P, counted, sized), (n, step), (motion, Q) = arrays, counts, odometry
     (reach, second_order, gate, most), (neighbours, degrees, recent), k = rule, locality, 0
-    if first_bad_measurement(scan[0], scan[1])[1]:
-        return BAD_SCAN
-    if len(motion) > 0 and not ekf.predict(x, P, 3 + 2 * n, motion, Q):
-        return BAD_ODOMETRY
+    check_measurements(scan[0], scan[1])
+    if len(motion) > 0:
+        ekf.predict(x, P, 3 + 2 * n, motion, Q)
     pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
     known, sizes, near, positions, covariances, across = out
     local, c, s = mark_local(neighbours, degrees, n, recent), math.cos(x[2]), math.sin(x[2])

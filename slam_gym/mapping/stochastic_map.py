@@ -200,8 +200,7 @@ class StochasticMap:
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u, and its covariance. Raises ValueError where the odometry or its covariance is invalid."""
         self.moved()
-        if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
-            raise ValueError(f"odometry: not finite, or its covariance is invalid: {odometry}")
+        ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance)
 
     def landmarks(self, features: IntArray | None = None) -> Landmarks:
         """A copy of `features` (k,), by default of all, with full covariance (2k, 2k), for searches without a prior on
