@@ -6,21 +6,17 @@ Matrices are C-contiguous. Loops over long rows run over whole cache lines (`pad
 from __future__ import annotations
 
 import math
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numba import config, float64
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.types import Array
 
-Scalar = TypeVar("Scalar", bound=np.generic)
-
 _NUMBA: Any = config
 LANES = 8  # doubles in a cache line
-_CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
 ROUNDING = 1e-13  # fraction of the cancelling terms that is added to the diagonals of S and P, to keep both definite
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
 
@@ -147,20 +143,3 @@ def _subtract_from(p: Array, q: Array, r: Array, s: Array, w: Array, v: Array, b
         q[j] = _fma(qw, w[j], _fma(qv, v[j], q[j]))
         r[j] = _fma(rw, w[j], _fma(rv, v[j], r[j]))
         s[j] = _fma(sw, w[j], _fma(sv, v[j], s[j]))
-
-
-def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """A view of the array that cannot be written to, so that its receiver cannot change the map.
-
-    An ordinary view could be made writable again, and its `base` is the array itself; neither holds for a view by
-    DLPack. An array of a type that DLPack does not support (another byte order) is copied.
-    """
-    if not array.flags.writeable and isinstance(array.base, _CAPSULE):
-        return array
-    try:
-        locked: Any = np.from_dlpack(array)
-    except BufferError:
-        locked = np.from_dlpack(array.astype(array.dtype.newbyteorder("=")))
-    locked.flags.writeable = False
-    out: NDArray[Scalar] = locked
-    return out

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
-from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.types import Array, Beams
 
 UNKNOWN, FREE, WALL = 0, 1, 2
@@ -86,6 +85,7 @@ class ExploredGrid:
         shape = shape_of(bounds, resolution)
         self.resolution = float(resolution)
         self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
+        self.origin.flags.writeable = False
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
         self._blocks = np.zeros([-(-side // BLOCK) for side in shape], dtype=np.int16)
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
@@ -97,12 +97,14 @@ class ExploredGrid:
     @property
     def cells(self) -> Cells:
         """Class of every cell (h, w): UNKNOWN, FREE or WALL. A read-only view, which changes with the grid."""
-        return read_only(self._cells)
+        view = self._cells.view()
+        view.flags.writeable = False
+        return view
 
     @property
     def explored(self) -> ExploredCells:
-        """The cells, their origin and their side, as read-only views that change with the grid."""
-        return ExploredCells(self.cells, read_only(self.origin), self.resolution)
+        """The cells, as a read-only view that changes with the grid, their origin and their side."""
+        return ExploredCells(self.cells, self.origin, self.resolution)
 
     @property
     def drawn(self) -> tuple[Blocks, Array, float]:

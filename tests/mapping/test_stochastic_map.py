@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.ekf import relative_covariance
-from slam_gym.mapping.linear_algebra import is_covariance, read_only
+from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import KEEP, h, mapped, predicted
@@ -334,14 +334,3 @@ def test_a_covariance_may_miss_symmetry_and_definiteness_by_rounding_only() -> N
             B[entry] += change
             assert is_covariance(B) is fine
     assert is_covariance(np.diag([1.0, -1e-10])) and not is_covariance(np.diag([1.0, -1e-6]))
-
-
-def test_a_read_only_array_goes_on_with_its_source_and_is_no_way_to_write_to_it() -> None:
-    for array in (np.arange(6.0).reshape(3, 2), np.zeros((0, 2)), np.array([True, False]), np.arange(6.0)[::2]):
-        locked = read_only(array)
-        array[...] = 1
-        assert np.array_equal(locked, array) and locked.dtype == array.dtype
-        assert not isinstance(locked.base, np.ndarray)
-        for each in (locked, locked[:], read_only(locked)):
-            with pytest.raises(ValueError, match="WRITEABLE"):
-                each.flags.writeable = True
