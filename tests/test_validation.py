@@ -17,8 +17,7 @@ from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import UNPAIRED, Beams, Effort, Hypothesis, Locality, Odometry, Scan
 from slam_gym.validation import LIMITS, check_hypothesis, check_scan, one_of
-from slam_gym.world.driving import RobotSpec
-from slam_gym.world.physics import DynamicsSpec
+from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 

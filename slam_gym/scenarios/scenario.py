@@ -18,9 +18,8 @@ import numpy as np
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.validation import check_settings, known_names, one_of
-from slam_gym.world.driving import RobotSpec
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.physics import DynamicsSpec
+from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 
 SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}

@@ -17,15 +17,31 @@ import pymunk
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
 from slam_gym.validation import check_settings
-from slam_gym.world.driving import GRAVITY, RobotSpec, Wheels
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
 from slam_gym.world.ray_casting import NO_DISCS, outlines
 
+_GRAVITY = 9.81  # [m/s²]
 _OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any further overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
 _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A disc on two driven wheels."""
+
+    radius: float = 0.2  # [m]
+    mass: float = 10.0  # [kg]
+    max_speed: float = 1.0  # [m/s]
+    max_turn: float = 2.0  # [rad/s]
+    max_acceleration: float = 3.0  # [m/s²] of the wheels
+    max_angular_acceleration: float = 10.0  # [rad/s²]
+    traction: float = 0.6  # the wheels push with at most traction · mass · g
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -62,6 +78,50 @@ class _Contacts:
     furniture = False  # something touched furniture since all of it came to rest
 
 
+class _Wheels:
+    """The wheels of `body`, at rest, in a simulation with substeps of `step` [s]."""
+
+    def __init__(self, robot: RobotSpec, body: pymunk.Body, step: float) -> None:
+        self._robot, self._body, self._moment, self._step = robot, body, body.moment, step
+        self.speed, self.turning = 0.0, 0.0  # [m/s, rad/s] of the robot, if the wheels do not slip
+        self.odometry = (0.0, 0.0, 0.0)  # [m, m, rad] pose by the turning of the wheels, in R where it was last reset
+
+    def push(self, forward: float, turn: float) -> None:
+        """Apply the force and torque that push the robot towards the wheels' next speeds, limited by traction.
+
+        `forward` and `turn` are the commanded fractions in [−1, 1] of the full speeds. The push takes effect at the end
+        of the substep, so it is aimed along the chord of the arc that the robot will drive in the next substep. The
+        wheels get the speeds that the push would give the robot if nothing pushed back.
+        """
+        robot, body, moment, step = self._robot, self._body, self._moment, self._step
+        self._roll()
+        gain, angular_gain = robot.max_acceleration * step, robot.max_angular_acceleration * step
+        speed = self.speed + min(max(robot.max_speed * forward - self.speed, -gain), gain)
+        spin = self.turning + min(max(robot.max_turn * turn - self.turning, -angular_gain), angular_gain)
+        turning = body.angular_velocity
+        grip = robot.traction * _GRAVITY * step  # [m/s] largest change of speed that traction allows in a substep
+        limit = grip * robot.mass * robot.radius / moment
+        spin = turning + min(max(spin - turning, -limit), limit)
+        aim = body.angle + turning * step + 0.5 * spin * step
+        c, s = math.cos(aim), math.sin(aim)
+        vx, vy = body.velocity
+        dx, dy = speed * c - vx, speed * s - vy
+        needed = math.hypot(dx, dy)
+        if needed > grip:
+            dx, dy = dx * grip / needed, dy * grip / needed
+            speed = (vx + dx) * c + (vy + dy) * s
+        self.speed, self.turning = speed, spin
+        body.force = robot.mass * dx / step, robot.mass * dy / step
+        body.torque = moment * (spin - turning) / step
+
+    def _roll(self) -> None:
+        """Advance the odometry by one substep: along the chord of an arc."""
+        x, y, heading = self.odometry
+        distance, angle = self.speed * self._step, self.turning * self._step
+        chord = heading + 0.5 * angle
+        self.odometry = x + distance * math.cos(chord), y + distance * math.sin(chord), heading + angle
+
+
 class World:
     """A physical world of `plan` with the robot at `start` (3,) W; `rng` draws where people stand and walk.
 
@@ -87,7 +147,7 @@ class World:
         self.furniture_segments = outlines(self.furniture)  # (4f, 4) [m] W its sides
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
-        self._wheels = Wheels(robot, self._body, self._step)
+        self._wheels = _Wheels(robot, self._body, self._step)
         self._update_pose()
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
         self._people = People(
@@ -137,7 +197,7 @@ class World:
         body, (x, y, heading) = self._body, pose.tolist()
         body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (0.0, 0.0), 0.0
         self._space.reindex_shapes_for_body(body)
-        self._wheels = Wheels(self.robot, body, self._step)
+        self._wheels = _Wheels(self.robot, body, self._step)
         self._update_pose()
 
     def _follow_furniture(self) -> None:
@@ -179,7 +239,7 @@ class World:
         self._add(body, pymunk.Poly.create_box(body, (length, width)), _FURNITURE, others)
         ground = self._space.static_body
         slide, twist = pymunk.PivotJoint(ground, body, (x, y)), pymunk.GearJoint(ground, body, heading, 1.0)
-        slide.max_force = self.dynamics.furniture_friction * mass * GRAVITY
+        slide.max_force = self.dynamics.furniture_friction * mass * _GRAVITY
         twist.max_force = slide.max_force * _LEVER * math.sqrt(length * width)
         for joint in (slide, twist):
             joint.max_bias = 0.0  # hold against motion, do not pull back

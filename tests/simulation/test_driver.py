@@ -14,7 +14,7 @@ from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals
 from slam_gym.simulation.driver import ARRIVED, STUCK_TICKS, carry_out
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING
-from slam_gym.world.driving import RobotSpec
+from slam_gym.world.physics import RobotSpec
 from tests.rollouts import episode, explore, random_action, short
 
 FIRST_REVISIT = 1 + FRONTIERS

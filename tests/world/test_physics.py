@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose
-from slam_gym.world.driving import RobotSpec
 from slam_gym.world.floor_plan import Features, FloorPlan, Room
-from slam_gym.world.physics import DynamicsSpec, World
+from slam_gym.world.physics import DynamicsSpec, RobotSpec, World
 from slam_gym.world.ray_casting import WallIndex, outlines
 
 NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty(0))

@@ -6,9 +6,8 @@ import pytest
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.types import SPURIOUS
 from slam_gym.world import corridor
-from slam_gym.world.driving import RobotSpec
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
-from slam_gym.world.physics import DynamicsSpec, Motion, World
+from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, Sensor, SensorSpec
 
