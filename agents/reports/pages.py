@@ -248,7 +248,7 @@ FURTHER_LOG_COLUMNS = columns(
     "nodes", "microseconds", "step_microseconds", "limits",
 )  # fmt: skip
 LOG_CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
-least squares with the same pairings; with true pairings, it is the best possible result.
+least squares with the same pairings, the maximum-likelihood estimate for them.
 feat.: confirmed features; dupl.: further ones of a landmark; clut.: of no landmark.
 s: time of the whole log."""
 
