@@ -15,6 +15,7 @@ from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
+_ILL_CONDITIONED = f"covariance has a condition number above {_CONDITION:.0e}"
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, relative to the variances' product
 _INTEGERS = np.dtype(np.int64)
 
@@ -100,7 +101,7 @@ def check_measurements(points: Array, covariances: Array) -> None:
             raise ValueError(f"Scan: measurement {i}: covariance is not PSD")
         # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, passes
         if trace * trace > _CONDITION * determinant:
-            raise ValueError(f"Scan: measurement {i}: covariance has a condition number above 1e12")
+            raise ValueError(f"Scan: measurement {i}: {_ILL_CONDITIONED}")
 
 
 def check_inputs(odometry: Odometry, scan: Scan) -> None:

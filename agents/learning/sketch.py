@@ -118,7 +118,7 @@ class Sketch:
                 self._look(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
 
     def _drive(self, goal: Array) -> None:
-        asked, radius, seen = goal, self._begun.scenario.robot.radius, False
+        requested, radius, seen = goal, self._begun.scenario.robot.radius, False
         path = way_to(self._grid, radius, self._here[:2], goal, self.goals.ways)
         while len(path) > 1 and not self.over and math.dist(self._here[:2], goal) >= ARRIVED:
             for _ in range(REPLAN):
@@ -133,7 +133,7 @@ class Sketch:
                     path = way_to(self._grid, radius, self._here[:2], goal)
                 goal = path[-1] if len(path) else goal
         if not seen and not self.over:
-            self._tried.add(asked)
+            self._tried.add(requested)
 
     def _stretch(self, path: Array) -> Array:
         """Drive one stretch along a path (p, 2), p ≥ 2, that begins here, and sense at its end; returns the rest."""

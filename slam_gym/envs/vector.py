@@ -161,7 +161,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
     def _check_open(self) -> None:
         if self.closed:
-            raise ClosedEnvironmentError(f"the environment is closed{self._failure}: make it anew")
+            raise ClosedEnvironmentError(f"the environment is closed{self._failure}: make a new one")
 
     def _exchange(self, name: str, *arguments: Any) -> list[Any]:
         """The results of a method of each group of worlds. All answers are read before the first error is raised."""
@@ -338,7 +338,7 @@ def _report_ended_worker() -> Iterator[None]:
     try:
         yield
     except (EOFError, OSError, pickle.UnpicklingError) as error:
-        raise RuntimeError("a worker process has ended: make the environment anew") from error
+        raise RuntimeError("a worker process has ended: make a new environment") from error
 
 
 def serve() -> None:

@@ -44,7 +44,8 @@ def learn(
         expected: positions (k, 2) and covariances (k, 2, 2) of the features expected.
 
     Returns the number of features added, the number of those due to be removed, and 0; or, with nothing changed, zeros
-    and the width that the graph needs. Raises ValueError as `fit_nothing`, `update` and `ekf.add`.
+    and the width that the graph needs. Raises ValueError, with the map unchanged, as `fit_nothing`, `update` and
+    `ekf.add`.
     """
     (x, P, counted, _), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
@@ -57,6 +58,9 @@ def learn(
         return 0, 0, width
     if not is_decided:
         fit_nothing(points, covariances, features, expected, gate, new)
+    for i in range(m):  # before anything is changed
+        if new[i]:
+            ekf.check_measurement(points, covariances, i)
     # update
     update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
     ekf.record(arrays, step, scan, features)

@@ -84,7 +84,7 @@ class _Wheels:
     def __init__(self, robot: RobotSpec, body: pymunk.Body, step: float) -> None:
         self._robot, self._body, self._moment, self._step = robot, body, body.moment, step
         self.speed, self.turning = 0.0, 0.0  # [m/s, rad/s] of the robot, if the wheels do not slip
-        self.odometry = (0.0, 0.0, 0.0)  # [m, m, rad] pose by the turning of the wheels, in R where it was last reset
+        self.odometry = (0.0, 0.0, 0.0)  # [m, m, rad] motion by the wheels since the last reset, in R at that time
 
     def push(self, forward: float, turn: float) -> None:
         """Apply the force and torque that push the robot towards the wheels' next speeds, limited by traction.

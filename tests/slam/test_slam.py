@@ -103,6 +103,20 @@ def test_bad_input_is_refused_by_name_and_changes_nothing(odometry, scan, messag
     np.testing.assert_array_equal(slam.map.covariance, covariance)
 
 
+@pytest.mark.parametrize("new", [None, np.array([False, True])])
+def test_learning_from_a_bad_measurement_changes_nothing(new) -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of(SEEN))
+    prediction = slam.predict(STILL, scan_of(SEEN))
+    mean, covariance, seen = slam.map.mean, slam.map.covariance, slam.map.seen
+    decided, bad = Hypothesis(np.array([0, UNPAIRED]), 0.0, 2, new=new), scan_of([SEEN[0], [np.nan, 1.0]])
+    with pytest.raises(ValueError, match=r"measurement 1 is not finite|scan.points\[1\] is not finite"):
+        slam.learn(bad, prediction, decided)
+    np.testing.assert_array_equal(slam.map.mean, mean)
+    np.testing.assert_array_equal(slam.map.covariance, covariance)
+    np.testing.assert_array_equal(slam.map.seen, seen)
+
+
 def test_empty_scans_are_fine() -> None:
     slam = slam_of()
     for points in ([], [[1, 0]], [], [[1, 0]], []):

@@ -45,7 +45,7 @@ def random_sampling(
     Each of `tries` tries takes three measurements at random and pairs all of them, depth first and without `*`, under
     the location-independent constraints and the locality of the first feature. Every triple of jointly compatible
     pairings implies a pose, from which JCBB decides the other measurements: candidates must be compatible at that pose,
-    and jointly with all previous pairings, where the pose is computed anew with every pairing (χ²_{2k−3}). Poses that
+    and jointly with all previous pairings, where the pose is computed again with every pairing (χ²_{2k−3}). Poses that
     cannot yield as many pairings as the best are abandoned at once. So a scan from outside the map costs no more than
     one from inside.
 
@@ -95,7 +95,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
 
 @compiled
 def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -> None:
-    """JCBB over the other measurements, from the pose of p pairings; every prefix is located anew and jointly
+    """JCBB over the other measurements, from the pose of p pairings; every prefix is located again and jointly
     compatible.
 
     For each level: above is the number of pairings above it, tried the number of candidates tried.

@@ -35,8 +35,8 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
     """The hypothesis with most pairings, then least D²_H, whose prefixes are compatible, each at its best pose.
 
     Candidates must pass the individual gate at the predicted pose, as in `jcbb`. A prediction whose heading is certain
-    is linear: the result is then that of JCBB. Every hypothesis is factored anew, which makes this plain baseline many
-    times slower than JCBB.
+    is linear: the result is then that of JCBB. Every hypothesis is factored as a whole, which makes this plain baseline
+    many times slower than JCBB.
 
     `joint_distance` is the optimised D²_H. `node_limit`, localities, `effort.limit_hit` and errors are those of `jcbb`.
     """
