@@ -2,9 +2,9 @@
 
 Seven scenarios × JCBB, the learned associator and true association, driven by information gain, with relocation (gcbb)
 and the atlas: the conditions of the headline table. The map of the filter is compared with that of batch least squares
-with the same pairings, the maximum-likelihood map for them. A drive is sound if its map has
-an aligned error of at most 0.5 and at most ten duplicates. With `--compare OLD.csv`, a second table contains the paired
-differences NEW − OLD over common worlds, with 95 % bootstrap intervals of their mean.
+with the same pairings, the maximum-likelihood map for them. A drive is sound if its map has an aligned error of at most
+0.5 and at most ten duplicates. With `--compare OLD.csv`, a second table contains the paired differences NEW − OLD over
+common worlds, with 95 % bootstrap intervals of their mean.
 
     python benchmarks/drift_reference.py --out new.csv [--compare old.csv]    # some ten minutes on two idle cores
 
