@@ -28,7 +28,7 @@ class JudgedSlam:
     """A SLAM run with the judgement of its associations: used by logs, episodes, the suite and benchmarks.
 
     Arguments:
-        slam: runs the steps.
+        slam: runs the steps. Its rules against accidental pairings do not apply to `CEILING`.
         associator: a name, `"module:function"` or a callable. `CEILING`, by name, receives the truth of every scan.
         informed: `CEILING` also decides which measurements start features: each labelled feature when it is first
             seen, whatever it is compatible with, and nothing else.
@@ -44,6 +44,8 @@ class JudgedSlam:
         self._knows_truth = isinstance(associator, str) and associator == CEILING
         self._associate = resolve_associator(associator)
         self._informed = informed
+        if self._knows_truth and isinstance(slam, Slam) and slam.atlas is not None:
+            slam.atlas.trust_associator()
 
     @property
     def tally(self) -> Tally:

@@ -108,6 +108,11 @@ class Atlas:
         """
         return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
 
+    def trust_associator(self) -> None:
+        """Withhold no ambiguous feature from the associator from now on, and reject none of its pairings."""
+        self.max_accidental_matches, self.max_chance_probability = math.inf, 1.0
+        self.starts_from_rejected = False
+
     def accepted(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float
     ) -> tuple[Hypothesis, StartRule]:

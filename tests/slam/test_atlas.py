@@ -125,6 +125,15 @@ def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_
     np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
 
 
+def test_the_true_association_is_offered_everything_and_none_of_its_pairings_is_rejected() -> None:
+    log = loop_drive(2, 250)
+    rejecting = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True)
+    slams = (Slam(SPEC), Slam(rejecting, relocate=nobody, atlas=EARLY))
+    judged = [map_it(slam, log, "true_association")[0] for slam in slams]
+    assert [duplicates(one) for one in judged] == [0, 0] and judged[1].tally.recall == 1.0
+    np.testing.assert_array_equal(slams[0].map.mean, slams[1].map.mean)
+
+
 def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_one_rule() -> None:
     rejecting, kept = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True), []
     for seed in range(4):
