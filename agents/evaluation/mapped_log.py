@@ -183,10 +183,15 @@ def measure(mapped: MappedLog) -> Record:
     errors, best = _poses(mapped) | _landmarks(mapped), smoothed(mapped)
     of_best = {} if best is None else _poses(best) | _landmarks(best)
     batch = {f"{name}_batch": of_best.get(name, math.nan) for name in ("ate", "landmark_rmse")}
-    return about | _associations(mapped) | _confirmed(mapped) | errors | batch | mapped.effort
+    return about | associations(mapped) | errors | batch | mapped.effort
 
 
-def _associations(mapped: MappedLog) -> Record:
+def associations(mapped: MappedLog) -> Record:
+    """Measures of the decisions, and of the confirmed features that they made."""
+    return _pairings(mapped) | _confirmed(mapped)
+
+
+def _pairings(mapped: MappedLog) -> Record:
     """Measures of the pairings of measurements with an identity and, separately, of spurious ones."""
     tally = replace(mapped.tally, fp_spurious=0)
     spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]

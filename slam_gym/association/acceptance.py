@@ -221,22 +221,47 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     features as `old` (m,) marks among the pairings of a scan with `features` (m,). The pairings with near features are
     held fixed."""
     near = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
-    paired, k = np.concatenate([near, np.flatnonzero(old)]), int(old.sum())
+    paired = np.concatenate([near, np.flatnonzero(old)])
     rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
     S = prediction.joint(rows)
     S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
     log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(near), : 2 * len(near)])[1]
-    gates, n, state = joint_gates(k, prediction.confidence), prediction.size[1], prediction.source[1]
+    n, state, gate = prediction.size[1], prediction.source[1], chi2_gate(2, prediction.confidence)
     blocks = (prediction.covariances[rows] + noise)[len(near) :]
-    sizes, tree = np.sqrt(np.linalg.det(blocks)), cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
-    everywhere = tree.count_neighbors(tree, np.sqrt(gates[1] * sizes)) / n - 1.0
+    sizes = np.sqrt(np.linalg.det(blocks))
+    everywhere = _others_in_gates(state[3 : 3 + 2 * n].reshape(n, 2), gate * sizes)
     confirmed = prediction.positions[~prediction.provisional]
     differences = confirmed[:, None] - confirmed[None]
     squared = np.einsum("abi,kij,abj->kab", differences, np.linalg.inv(blocks), differences)
-    in_reach = (squared < gates[1]).sum(axis=(1, 2)) / max(len(confirmed), 1) - 1.0
-    others = np.maximum(np.maximum(everywhere, in_reach), 1.0 / n)
+    in_reach = (squared < gate).sum(axis=(1, 2)) / max(len(confirmed), 1) - 1.0
+    others = np.maximum(everywhere, in_reach)
+    return _log_expected_sets(len(features) - len(near), float(log_det), others, sizes, prediction.confidence)
+
+
+def log_expected_pairs(S: Array, choices: int, positions: Array, confidence: float) -> float:
+    """log of the expected number of accidental sets of k pairs of a newer and an older feature (see the head of this
+    file), where k of `choices` newer features are paired.
+
+    S (2k, 2k) [m²] is the covariance of the differences of the pairs, and `positions` (n, 2) [m] are those of the map.
+    """
+    k = len(S) // 2
+    sizes = np.sqrt(np.linalg.det(S.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]))
+    others = _others_in_gates(positions, chi2_gate(2, confidence) * sizes)
+    return _log_expected_sets(choices, float(np.linalg.slogdet(S)[1]), others, sizes, confidence)
+
+
+def _others_in_gates(positions: Array, squared_radii: Array) -> Array:
+    """(k,) mean number of other features around a feature within each of the radii (k,), at least 1 / n."""
+    tree, n = cKDTree(positions), len(positions)
+    others: Array = np.maximum(tree.count_neighbors(tree, np.sqrt(squared_radii)) / n - 1.0, 1.0 / n)
+    return others
+
+
+def _log_expected_sets(choices: int, log_det: float, others: Array, sizes: Array, confidence: float) -> float:
+    """log (l over k) V_{2k} γ_{2k}^k √det S Π n_i / (π γ_2 √det S_i), with l the choices, n_i `others` (k,), and
+    √det S_i `sizes` (k,)."""
+    k, gates = len(sizes), joint_gates(len(sizes), confidence)
     log_densities = np.log(others / (math.pi * gates[1] * sizes))
-    unexplained = len(features) - len(near)
-    log_choices = gammaln(unexplained + 1) - gammaln(k + 1) - gammaln(unexplained - k + 1)
+    log_choices = gammaln(choices + 1) - gammaln(k + 1) - gammaln(choices - k + 1)
     log_volume = k * math.log(math.pi * gates[k]) - gammaln(k + 1) + 0.5 * log_det
     return float(log_choices + log_volume + log_densities.sum())

@@ -2,9 +2,9 @@
 
 **Loops.** When the robot returns to an old part of the map, its drift makes the features there ambiguous: relative to
 the features just paired they are so uncertain that others lie within their gates. A scan pairs such features wrongly
-now and then, and one wrong scan can ruin the map. So they are not offered to the associator, but left to place
-recognition, which searches for the recent part of the map among them. (Associators that weigh all hypotheses are
-offered ambiguous features too, unless `SlamSpec.start_features_from_rejected` is set.)
+now and then, and one wrong scan can ruin the map. So they are not offered to the associator, but left to the search for
+loops (`slam.places.loops`), which pairs them with the whole recent part of the map. (Associators that weigh all
+hypotheses are offered ambiguous features too, unless `SlamSpec.start_features_from_rejected` is set.)
 
 **First links.** Where a scan pairs one or two features that the robot has not seen for long, the measurement may come
 from an unmapped neighbour half a metre away: a door has two jambs, and 20 m away a gate is as wide. Such pairings are
@@ -44,11 +44,11 @@ from slam_gym.slam.places.fusion import (
     MappedArea,
     close_missed_loop,
     find_duplicates,
-    find_loop,
     fuse,
     join_recognised,
     join_relocated,
 )
+from slam_gym.slam.places.loops import find_loop
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import fit_nothing

@@ -17,7 +17,8 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
-from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
+from slam_gym.slam.places.fusion import MappedArea
+from slam_gym.slam.places.loops import NO_PAIRS
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import Settings, forget, learn
 from slam_gym.types import (

@@ -1,9 +1,8 @@
 """Fusion: features that are the same become one, within the active map or between it and an inactive map.
 
-**Loops** are found by place recognition within the active map, and verified with the prior: both parts must have one
-shape, and the map must consider the motion between them possible. **Maps** are joined with an uninformative relation
-(`join_at`) once the recent part of one, or a scan, is recognised in the other; there is then no prior to verify with.
-A **missed loop** is closed without the prior, too: it failed (`close_missed_loop`).
+The pairs of a loop are found in `slam.places.loops`. **Maps** are joined with an uninformative relation (`join_at`)
+once the recent part of one, or a scan, is recognised in the other; there is then no prior to verify with. A **missed
+loop** is closed without the prior, too: it failed (`close_missed_loop`).
 
 **Duplicates** are single features that the map holds twice: a loop closure, or a scan whose right pairing missed its
 gate, may leave some. Two features are taken for the same if their difference is small for its covariance, neither has
@@ -31,7 +30,6 @@ from slam_gym.slam.places.recognition import Parts, RecognitionSpec, least_pairs
 from slam_gym.slam.places.verification import agreeing, attributes_agree, overlap
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Relocation
 
-NO_PAIRS = np.empty((0, 2), np.int64)
 _NOTHING = np.empty(0, np.int64)
 
 _CONFIDENCE = 0.99
@@ -81,20 +79,6 @@ def fuse(m: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Fusion:
     became[pairs[:, 1]] = pairs[:, 0]
     fused = graph.fused(pairs[:, 0], pairs[:, 1])
     return Fusion(equate(m, pairs), fused, m.ids[pairs], np.searchsorted(kept, became))
-
-
-def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
-    """Pairs (k, 2) of an older feature and one of the recent part that are the same; empty if no loop is verified."""
-    parts = parts_of(m, graph, spec)
-    found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, spec)
-    if parts is None or found is None:
-        return NO_PAIRS
-    paired = found.features != UNPAIRED
-    pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
-    pairs = agreeing(m, pairs[np.argsort(pairs[:, 0])], spec, prior=True)
-    seen_together = any(graph.count(older, newer) for older, newer in pairs.tolist())
-    believed = len(pairs) >= spec.min_pairs and not seen_together
-    return pairs if believed and overlap(m, parts, pairs) >= spec.min_fraction else NO_PAIRS
 
 
 def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Fusion | None:

@@ -1,10 +1,10 @@
 """Place recognition: the recent part of the active map is searched for among other features, without a prior.
 
-A robot that returns with more drift than its covariance admits starts the features there a second time, and a robot
-that was carried away maps known ground again. A single scan cannot distinguish such ground from new ground; a dozen
-features can. They take the place of a scan (`as_scan`), and one of the searches of relocation pairs them with older
-features of the active map, or with features of an inactive map. The pairs found are then verified geometrically
-(`slam.places.verification`).
+A robot that was carried away maps known ground again, and so does one that drifted farther than its covariance admits.
+A single scan cannot distinguish such ground from new ground; a dozen features can. They take the place of a scan
+(`as_scan`), and one of the searches of relocation pairs them with features of an inactive map, or of the rest of the
+active one. The pairs found are then verified geometrically (`slam.places.verification`). Loops, for which the map is a
+prior, are found in `slam.places.loops`.
 
 The errors of a group of features are correlated, but the searches assume the measurements of a scan to be independent.
 Any motion of the group as a whole is projected out first, which loses nothing because its place is unknown: with G the
@@ -48,10 +48,12 @@ class RecognitionSpec:
     every: int = 20  # [scans] between searches
     group: int = 20  # most features of the recent part: those seen last
     recent: int = 60  # [scans] features seen in the last so many are recent, all others are older
-    min_pairs: int = 8  # with six, half of the loops that were closed were wrong
+    min_pairs: int = 8  # of maps, without a prior; with six, half of the loops that were closed were wrong
+    min_loop_pairs: int = 5  # of a loop, with the map as the prior
+    max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs; above, it is refused
     above_mirror: int = 3  # least number of pairs above those found for the mirror image of the recent part
     min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired
-    confidence: float = 0.999  # of the tests of shape and of motion
+    confidence: float = 0.999  # of the tests of pairs, shape and motion
     inflation: float = 3.0  # of the standard deviations of the motion between the two parts
 
     def __post_init__(self) -> None:
@@ -78,7 +80,7 @@ def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpe
 
 
 def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Parts | None:
-    """The recent part of a map and the older features it may match, or None if there are too few of either.
+    """The recent part of a map and the older features it may match, or None if too few of either may match.
 
     Each older feature is individually compatible with one of the recent part under the inflated covariance. A feature
     of the recent part without a compatible older feature is still searched for, as part of the shape.
@@ -86,11 +88,11 @@ def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) 
     recent, is_older = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
     is_older[recent] = False
     older = np.flatnonzero(is_older)
-    if len(recent) < spec.min_pairs or len(older) < spec.min_pairs:
+    if min(len(recent), len(older)) < spec.min_loop_pairs:
         return None
     gate = spec.inflation**2 * chi2_gate(2, spec.confidence)
     near = np.isfinite(m.distances_between(recent, older, gate))
-    if near.any(axis=1).sum() < spec.min_pairs or near.any(axis=0).sum() < spec.min_pairs:
+    if min(near.any(axis=0).sum(), near.any(axis=1).sum()) < spec.min_loop_pairs:
         return None
     return Parts(recent, older[near.any(axis=0)])
 

@@ -1,0 +1,157 @@
+"""Loops that are found, and those that must not be: other buildings, mirror images, motions beyond the prior."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.geometry import transform
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.places.loops import compatible_pairs, find_loop
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec
+from slam_gym.types import Array, IntArray, Odometry
+from tests.slam.rings import enter
+
+SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
+SPEC = RecognitionSpec()
+
+Mapped = tuple[StochasticMap, CovisibilityGraph]
+
+
+def layered(rng: np.random.Generator, older: Array, newer: Array, drift: float = 0.4) -> Mapped:
+    """A map of `older` (a, 2), and long afterwards of `newer` (b, 2), seen by a robot that has drifted in between."""
+    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+    for points, error in ((older, np.zeros(3)), (newer, np.array([drift, drift, 0.05 * drift]))):
+        Q = np.diag(error**2) + 1e-12 * np.eye(3)
+        m.predict(Odometry(error * rng.standard_normal(3), Q))  # where in truth it is at the origin again
+        enter(m, graph, points, rng, SIGMA)
+        m.step += 100
+    m.step -= 100
+    return m, graph
+
+
+def bent(rng: np.random.Generator, older: Array, newer: Array) -> Mapped:
+    """As `layered`, but the robot drifts by 0.05 m and 0.6° before each feature that it maps: neither part is rigid."""
+    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+    Q, true = np.diag([0.05, 0.05, 0.01]) ** 2, np.zeros(3)
+    for points in (older, newer):
+        for point in points:
+            there = np.array([*point, 0.0])
+            m.predict(Odometry(there - true + rng.multivariate_normal(np.zeros(3), Q), Q))
+            true = there
+            enter(m, graph, np.zeros((1, 2)), rng, SIGMA)
+        m.step += 100
+    m.step -= 100
+    return m, graph
+
+
+def field(rng: np.random.Generator, count: int) -> Array:
+    return rng.uniform(-SIDE / 2.0, SIDE / 2.0, (count, 2))
+
+
+def loop_in(m: StochasticMap, graph: CovisibilityGraph) -> Array:
+    return find_loop(m, graph, SPEC)
+
+
+def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        older = field(rng, 40)
+        pairs = loop_in(*layered(rng, older, older[:14]))
+        assert len(pairs) >= 12, f"seed {seed}"
+        np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1] - 40)
+
+
+def test_a_part_that_is_not_rigid_is_found() -> None:
+    found, right = 0, 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        older = field(rng, 40)
+        pairs = loop_in(*bent(rng, older, older[:14]))
+        found, right = found + len(pairs), right + int((pairs[:, 0] == pairs[:, 1] - 40).sum())
+    assert right > 0.95 * found and found > 100
+
+
+@pytest.mark.parametrize("drift", [0.4, 1.5])
+def test_other_ground_is_not_taken_for_old(drift: float) -> None:
+    closed = 0
+    for seed in range(40):
+        rng = np.random.default_rng((1, seed))
+        closed += len(loop_in(*layered(rng, field(rng, 40), field(rng, 14), drift))) > 0
+    assert closed == 0  # bounds the rate by 3 / 40 at 95 %
+
+
+def test_the_mirror_image_of_old_ground_is_not_taken_for_it() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng((2, seed))
+        older = field(rng, 40)
+        m, graph = layered(rng, older, older[:14] * np.array([1.0, -1.0]))
+        assert len(loop_in(m, graph)) == 0, f"seed {seed}"
+
+
+def test_ground_that_looks_alike_but_is_too_far_is_not_taken_for_old() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng((3, seed))
+        older = field(rng, 40)
+        elsewhere = transform(np.array([2.5, 1.0, 0.3]), older[:14])
+        m, graph = layered(rng, np.concatenate([older, field(rng, 10)]), elsewhere, drift=0.05)
+        assert len(loop_in(m, graph)) == 0, f"seed {seed}"
+
+
+def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
+    rng = np.random.default_rng(4)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14])
+    pairs = loop_in(m, graph)
+    graph.see_together(pairs[0])
+    assert len(loop_in(m, graph)) == 0
+
+
+def test_too_few_pairs_and_pairs_that_chance_may_bring_close_no_loop() -> None:
+    rng = np.random.default_rng(5)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, np.concatenate([older[:7], field(rng, 7)]))
+    assert len(loop_in(m, graph)) == 7
+    assert len(find_loop(m, graph, replace(SPEC, min_loop_pairs=8))) == 0
+    assert len(find_loop(m, graph, replace(SPEC, max_accidental_loops=1e-9))) == 0
+
+
+def grown(m: StochasticMap, pairs: IntArray, seed: int, gates: Array) -> list[int]:
+    """The set that grows from one of the pairs (k, 2), by conditioning all innovations on those of the set at once."""
+    H = np.zeros((2 * len(pairs), 2 * m.n))
+    for row, (older, newer) in enumerate(pairs):
+        H[2 * row : 2 * row + 2, 2 * newer : 2 * newer + 2] = np.eye(2)
+        H[2 * row : 2 * row + 2, 2 * older : 2 * older + 2] = -np.eye(2)
+    C, nu = H @ m.covariance[3:, 3:] @ H.T, H @ m.positions.ravel()
+    chosen, open_ = [seed], set(range(len(pairs)))
+    while True:
+        open_ = {q for q in open_ if not np.isin(pairs[q], pairs[chosen]).any()}
+        given = (2 * np.array(chosen)[:, None] + np.arange(2)).ravel()
+        scores = {}
+        for q in sorted(open_):
+            rows = 2 * q + np.arange(2)
+            gain = np.linalg.solve(C[np.ix_(given, given)], C[np.ix_(given, rows)]).T
+            S, left = C[np.ix_(rows, rows)] - gain @ C[np.ix_(given, rows)], nu[rows] - gain @ nu[given]
+            distance = float(left @ np.linalg.solve(S, left))
+            if distance < gates[min(len(chosen), 2) - 1]:
+                scores[q] = distance + np.log(np.linalg.det(S))
+        if not scores:
+            return chosen
+        chosen.append(min(scores, key=scores.__getitem__))
+        open_ = set(scores)
+
+
+def test_the_search_finds_the_largest_set_that_grows_from_any_pair() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng((6, seed))
+        older = field(rng, 12)
+        m, _ = bent(rng, older, np.concatenate([older[:5], field(rng, 2)]))
+        parts, gate = Parts(np.arange(12, 19), np.arange(12)), chi2_gate(2, SPEC.confidence)
+        D = m.distances_between(parts.recent, parts.older, 9.0 * gate)
+        pairs = np.argwhere(np.isfinite(D))[:, ::-1] + [0, 12]
+        sets = [grown(m, pairs, first, np.array([9.0 * gate, gate])) for first in range(len(pairs))]
+        found = compatible_pairs(m, parts, SPEC)
+        largest = [sorted(map(tuple, pairs[each].tolist())) for each in sets if len(each) == max(map(len, sets))]
+        assert sorted(map(tuple, found.tolist())) in largest, f"seed {seed}"
