@@ -42,7 +42,7 @@ def main(
     log: Annotated[
         str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or see slam-gym list recordings.")
     ],
-    associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
+    associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "marginal",
     relocation: Annotated[str | None, Option(metavar="NAME", help="Search that finds a lost robot; or none.")] = None,
     output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:

@@ -1,8 +1,9 @@
 """Parts of the DLR log, and logs that are simulated along its path: does a result depend on where the log begins?
 
-Each part begins with an empty map. The simulated logs have the path, the circles and the scans of the batch solution
-with the true identities, and errors drawn with the covariances of the log, which in the log itself are larger and last
-for several steps. Features mapped twice, precision and recall of every log, and their means.
+Each part begins with an empty map; the parts overlap, so their mean is not over independent logs. The simulated logs
+have the path, the circles and the scans of the batch solution with the true identities. Their errors are drawn with the
+covariances of the log; the true errors are larger than these say, and last for several steps. Features mapped twice,
+precision and recall of every log, and their means.
 
     SLAM_GYM_DATA=... python benchmarks/parts.py --out parts.csv       # five minutes
 """

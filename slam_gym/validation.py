@@ -59,7 +59,7 @@ LIMITS: dict[str, dict[str, Limits]] = {
     },
     "RecognitionSpec": {
         "node_limit": (1, 10**9), "every": (1, 10**9), "group": (3, 1000), "recent": (1, 10**9),
-        "min_pairs": (3, 10**9), "above_mirror": (0, 10**9), "min_fraction": _SHARE, "confidence": _CONFIDENCE,
+        "min_pairs": (3, 10**9), "margin": (0, 10**9), "min_fraction": _SHARE, "confidence": _CONFIDENCE,
         "inflation": (1.0, 1e3), "min_loop_pairs": (3, 10**9), "max_accidental_loops": (1e-9, 1e9),
     },
     "AtlasSpec": {"max_accidental_matches": (1e-9, math.inf), "patience": (0, 10**9), "rejoin": (1, 10**9)},

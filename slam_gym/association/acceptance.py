@@ -43,6 +43,10 @@ jointly compatible, in
 hypotheses, where S is the covariance of the old features' innovations given the pairings with recently seen ones. A
 single pairing is convincing where its gate is narrow. Several pairings together are convincing even where the pose is
 poorly known: their errors have the pose in common, so that √det S is far below Π √det S_i.
+
+A set of k pairs of newer and older features (`slam.places.loops`) is judged by the same formula. S is the covariance of
+the differences of the pairs, l the number of newer features, and n_i the mean over the whole map. The number counts
+features that lie at random: it does not tell whether a building repeats itself.
 """
 
 from __future__ import annotations
@@ -240,14 +244,16 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
 
 def log_expected_pairs(S: Array, choices: int, positions: Array, confidence: float) -> float:
     """log of the expected number of accidental sets of k pairs of a newer and an older feature (see the head of this
-    file), where k of `choices` newer features are paired.
+    file), where k of `choices` newer features are paired; inf if S is singular.
 
     S (2k, 2k) [m²] is the covariance of the differences of the pairs, and `positions` (n, 2) [m] are those of the map.
     """
-    k = len(S) // 2
+    k, (sign, log_det) = len(S) // 2, np.linalg.slogdet(S)
+    if sign <= 0.0:
+        return math.inf
     sizes = np.sqrt(np.linalg.det(S.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]))
     others = _others_in_gates(positions, chi2_gate(2, confidence) * sizes)
-    return _log_expected_sets(choices, float(np.linalg.slogdet(S)[1]), others, sizes, confidence)
+    return _log_expected_sets(choices, float(log_det), others, sizes, confidence)
 
 
 def _others_in_gates(positions: Array, squared_radii: Array) -> Array:

@@ -28,7 +28,7 @@ class JudgedSlam:
     """A SLAM run with the judgement of its associations: used by logs, episodes, the suite and benchmarks.
 
     Arguments:
-        slam: runs the steps. Its rules against accidental pairings do not apply to `CEILING`.
+        slam: runs the steps. `CEILING` switches its rules against accidental pairings off, for good.
         associator: a name, `"module:function"` or a callable. `CEILING`, by name, receives the truth of every scan.
         informed: `CEILING` also decides which measurements start features: each labelled feature when it is first
             seen, whatever it is compatible with, and nothing else.

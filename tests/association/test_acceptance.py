@@ -15,6 +15,7 @@ from slam_gym.association.acceptance import (
     extent,
     log_expected,
     log_expected_old,
+    log_expected_pairs,
     min_pairings,
 )
 from slam_gym.association.prediction import Prediction, predict
@@ -223,3 +224,21 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
         rows = rng.choice(np.flatnonzero(np.abs(p.positions).max(axis=1) < 10.0), 2, replace=False)
         expected += np.exp(log_expected_old(scan, p, np.where(old, p.features[rows], UNPAIRED), old))
     assert counted >= 20 and counted / 1.5 < expected < 1.5 * counted, f"{counted}, not {expected}"
+
+
+def test_sets_of_pairs_are_expected_by_the_formula_and_no_more_often_by_chance() -> None:
+    """Of points at random, with independent errors of the pairs: the number of pairs within the gate, for k = 1."""
+    counted, expected = 0, 0.0
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        positions, newer, sigma = rng.uniform(-10.0, 10.0, (60, 2)), rng.uniform(-8.0, 8.0, (3, 2)), 0.4
+        S = sigma**2 * np.eye(4)
+        others = (np.hypot(*(positions[:, None] - positions[None]).T) <= sigma * math.sqrt(chi2.ppf(0.99, 2))).sum()
+        density = max(others / 60 - 1.0, 1.0 / 60) / (math.pi * chi2.ppf(0.99, 2) * sigma**2)
+        value = math.comb(3, 2) * (math.pi * chi2.ppf(0.99, 4) * sigma**2 * density) ** 2 / 2.0
+        assert np.exp(log_expected_pairs(S, 3, positions, 0.99)) == pytest.approx(value)
+        squared = ((newer[:, None] - positions[None]) ** 2).sum(axis=2) / sigma**2
+        counted += int((squared < chi2.ppf(0.99, 2)).sum())
+        expected += np.exp(log_expected_pairs(S[:2, :2], 3, positions, 0.99))
+    assert counted > 100 and counted / 1.3 < expected < 1.3 * counted, f"{counted}, not {expected}"
+    assert log_expected_pairs(np.zeros((4, 4)), 3, positions, 0.99) == math.inf

@@ -90,7 +90,7 @@ def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: Recognit
     parts knew of each other came from a wrong pose.
     """
     anywhere = replace(spec, inflation=_ANYWHERE, min_pairs=int(_MORE_PAIRS * spec.min_pairs))
-    parts = parts_of(m, graph, anywhere)
+    parts = parts_of(m, graph, anywhere, anywhere.min_pairs)
     found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, anywhere)
     if parts is None or found is None:
         return None

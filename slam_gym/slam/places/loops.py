@@ -2,17 +2,19 @@
 
 A pair of an older feature j and a newer one i has the innovation ν = F_i − F_j. The map knows the joint covariance of
 the innovations of all pairs (`slam.places.verification`), and with it how far the robot may have drifted since, and how
-the recent part may bend. The pairs of a loop are jointly compatible; those of other places hardly ever are.
+the recent part may bend. The pairs of a loop are jointly compatible.
 
 **Search.** A set of pairs grows from one pair. In each step the innovations of all other pairs are conditioned on those
 of the set, as by a Kalman update, and of the pairs that are still compatible the one with the least D² + log det S is
 added, the one with the highest likelihood. The set is complete when none is left. One pair determines the shift and a
-second one the turn of the recent part; filters become optimistic in both, so the gates of these two are wide. The
-largest set over all first pairs is verified.
+second one the turn of the recent part; filters become optimistic in both, so the gates of these two are wide. Sets grow
+from all pairs of as many recent features as `_SEEDS` allows, and the largest set is verified, of equals the likeliest.
+Pairs whose features were seen together in one scan are not the same feature, and are left out.
 
-**Acceptance.** Fewer than `RecognitionSpec.max_accidental_loops` sets of as many pairs are expected by chance
-(`association.acceptance`), the pairs are most of the features where both parts overlap, and no scan saw both features
-of any pair.
+**Acceptance.** Buildings repeat themselves: a corridor may fit another one, or itself, a door further on. So the loop
+must have `RecognitionSpec.margin` pairs more than the largest set that shares no pair with it. Besides, fewer than
+`max_accidental_loops` sets of as many pairs are expected by chance (`association.acceptance`), and of the two parts the
+one with fewer features in the circle around its paired ones has at least `min_fraction` of them paired.
 """
 
 from __future__ import annotations
@@ -29,37 +31,63 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of
 from slam_gym.slam.places.verification import agreeing, attributes_agree, difference_covariance, overlap
-from slam_gym.types import Array, IntArray
+from slam_gym.types import Array, BoolArray, IntArray
 
 NO_PAIRS = np.empty((0, 2), np.int64)
-_SEEDS = 400  # most pairs from which sets grow
+_SEEDS = 800  # most pairs from which sets grow; one recent feature may have more
+_MOST_PAIRS = 10_000  # with more possible pairs, the prior is too weak, and nothing is searched for
 
 
 def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
-    """Pairs (k, 2) of an older feature and one of the recent part that are the same; empty if no loop is accepted."""
-    parts = parts_of(m, graph, spec)
+    """Pairs (k, 2) of features that are the same, the older one first; empty if no loop is accepted."""
+    parts = parts_of(m, graph, spec, spec.min_loop_pairs)
     if parts is None:
         return NO_PAIRS
-    pairs = agreeing(m, compatible_pairs(m, parts, spec), spec, prior=True)
-    if not len(pairs) or any(graph.count(older, newer) for older, newer in pairs.tolist()):
+    pairs, rival = compatible_pairs(m, graph, parts, spec)
+    pairs = agreeing(m, pairs, spec, prior=True)
+    if len(pairs) < max(rival + spec.margin, 1) or overlap(m, parts, pairs) < spec.min_fraction:
         return NO_PAIRS
-    unlikely = _log_expected(m, parts, pairs, spec) <= math.log(spec.max_accidental_loops)
-    return pairs if unlikely and overlap(m, parts, pairs) >= spec.min_fraction else NO_PAIRS
+    if _log_expected(m, parts, pairs, spec) > math.log(spec.max_accidental_loops):
+        return NO_PAIRS
+    by_age: IntArray = np.sort(pairs, axis=1)  # a feature seen lately may have been mapped first
+    return by_age[np.argsort(by_age[:, 0])]
 
 
-def compatible_pairs(m: StochasticMap, parts: Parts, spec: RecognitionSpec) -> IntArray:
-    """The largest set of pairs (k, 2) found of an older and a newer feature that the map considers jointly compatible,
-    sorted by the older; each feature is in one pair."""
+def compatible_pairs(
+    m: StochasticMap, graph: CovisibilityGraph, parts: Parts, spec: RecognitionSpec
+) -> tuple[IntArray, int]:
+    """The largest set found of pairs (k, 2) of an older and a newer feature that the map considers jointly compatible,
+    and the size of the largest one that shares no pair with it. In a set, each feature is in one pair.
+
+    Returns no pairs where more than `_MOST_PAIRS` are possible.
+    """
     gate = chi2_gate(2, spec.confidence)
     wide_gate = spec.inflation**2 * gate
     possible = np.isfinite(m.distances_between(parts.recent, parts.older, wide_gate))
-    newer, older = np.nonzero(possible & attributes_agree(m, parts.older, parts.recent))
-    features = np.concatenate([parts.older, parts.recent])
-    rows = np.column_stack([older, len(parts.older) + newer])
-    gates, most = np.array([wide_gate, gate]), len(parts.recent)
-    found = _largest_set(m.positions[features], m.covariance_of(features), rows, gates, most)
-    pairs: IntArray = features[rows[found]]
-    return pairs[np.argsort(pairs[:, 0])]
+    possible &= attributes_agree(m, parts.older, parts.recent) & ~_seen_together(graph, parts)
+    newer, older = np.nonzero(possible)
+    if not 0 < len(newer) <= _MOST_PAIRS:
+        return NO_PAIRS, 0
+    pairs = np.column_stack([parts.older[older], parts.recent[newer]])
+    chosen = _spread(np.unique(newer), max(_SEEDS * len(parts.recent) // len(newer), 1))
+    seeds, (x, P, *_) = np.flatnonzero(np.isin(newer, chosen)), m.arrays
+    sets, scores = _grow_sets(x, P, pairs, seeds, np.array([wide_gate, gate]), len(parts.recent))
+    sizes = (sets >= 0).sum(axis=1)
+    best = sets[np.lexsort((scores, -sizes))[0], : sizes.max()]
+    rivals = sizes[~np.isin(sets, best).any(axis=1)]
+    found: IntArray = pairs[best]
+    return found[np.argsort(found[:, 0])], int(rivals.max(initial=0))
+
+
+def _seen_together(graph: CovisibilityGraph, parts: Parts) -> BoolArray:
+    """(g, a) whether a scan saw both a recent and an older feature."""
+    return np.array([np.isin(parts.older, graph.neighbours(feature)) for feature in parts.recent.tolist()])
+
+
+def _spread(items: IntArray, count: int) -> IntArray:
+    """At most `count` of the items, evenly spaced."""
+    spread: IntArray = items[np.linspace(0, len(items) - 1, min(count, len(items))).astype(np.int64)]
+    return spread
 
 
 def _log_expected(m: StochasticMap, parts: Parts, pairs: IntArray, spec: RecognitionSpec) -> float:
@@ -71,83 +99,84 @@ def _log_expected(m: StochasticMap, parts: Parts, pairs: IntArray, spec: Recogni
 
 
 @compiled
-def _largest_set(positions: Array, P: Array, pairs: IntArray, gates: Array, most: int) -> IntArray:
-    """The largest of the sets that grow from the likeliest pairs, as indices into `pairs`.
+def _grow_sets(x: Array, P: Array, pairs: IntArray, seeds: IntArray, gates: Array, most: int) -> tuple[IntArray, Array]:
+    """The set that grows from each of the pairs `seeds` (s,), as indices into `pairs`, then −1 (s, most); and the sum
+    of D² + log det S over its pairs (s,), each given those before.
 
     Arguments:
-        positions: (u, 2) [m] of features, with covariance P (2u, 2u).
+        x: (≥ 3 + 2n,) and P (≥ 3 + 2n, ≥ 3 + 2n): state of the map, and the upper triangle of its covariance.
         pairs: (k, 2) an older and a newer feature each.
         gates: (2,) χ² gate of the second pair of a set, and of all later ones.
         most: most pairs of a set.
     """
-    best, nu, S = np.empty(0, np.int64), np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
-    scores = np.empty(len(pairs))
+    sets, scores = np.full((len(seeds), most), -1), np.empty(len(seeds))
+    w = np.empty((2 * most, len(pairs), 2))
+    nu, S = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
     for p in range(len(pairs)):
         for a in range(2):
-            nu[p, a] = positions[pairs[p, 1], a] - positions[pairs[p, 0], a]
+            nu[p, a] = x[3 + 2 * pairs[p, 1] + a] - x[3 + 2 * pairs[p, 0] + a]
             for b in range(2):
                 S[p, a, b] = _covariance(P, pairs[p], a, pairs[p], b)
             S[p, a, a] += VARIANCE_FLOOR
-        distance, determinant = _distance(nu[p], S[p])
-        scores[p] = distance + math.log(determinant)
-    for seed in np.argsort(scores)[:_SEEDS]:
-        grown = _grow(P, pairs, nu.copy(), S.copy(), gates, seed, most)
-        if len(grown) > len(best):
-            best = grown
-    return best
+    for s in range(len(seeds)):
+        scores[s] = _grow(P, pairs, nu.copy(), S.copy(), gates, seeds[s], w, sets[s])
+    return sets, scores
 
 
 @compiled
-def _grow(P: Array, pairs: IntArray, nu: Array, S: Array, gates: Array, seed: int, most: int) -> IntArray:
-    """The set that grows from the pair `seed`. The innovations ν (k, 2) and S (k, 2, 2) are conditioned in place.
+def _grow(P: Array, pairs: IntArray, nu: Array, S: Array, gates: Array, seed: int, w: Array, chosen: IntArray) -> float:
+    """Enter the set that grows from the pair `seed` in `chosen` (most,); returns the sum of D² + log det S.
 
-    The coordinates of a pair are conditioned on one after the other. With w_q = Cov(q, r) / σ_r the covariance of q and
-    an earlier coordinate r, given those before, each coordinate changes ν by −w ν_r / σ_r and S by −w wᵀ.
+    ν (k, 2) and S (k, 2, 2) are conditioned in place, on the coordinates of each chosen pair one after the other. With
+    w_q = Cov(q, r) / σ_r the covariance of q and an earlier coordinate r, given those before, each coordinate changes ν
+    by −w ν_r / σ_r and S by −w wᵀ. `w` (2 most, k, 2) is working memory.
     """
-    possible, chosen, size = np.ones(len(pairs), np.bool_), np.empty(most, np.int64), 0
-    w, added = np.empty((len(pairs), 2 * most, 2)), seed
-    while added >= 0:
-        chosen[size], possible[added] = added, False
-        for q in range(len(pairs)):
-            if pairs[q, 0] == pairs[added, 0] or pairs[q, 1] == pairs[added, 1]:
-                possible[q] = False
+    possible, added = np.arange(len(pairs)), seed  # the pairs that may still be added, and the one that is
+    distance, determinant = _distance(nu[seed], S[seed])
+    total = distance + math.log(determinant)
+    for size in range(len(chosen)):
+        chosen[size] = added
         for a in range(2):
             r, sigma = 2 * size + a, math.sqrt(max(S[added, a, a], VARIANCE_FLOOR))
             normalised = nu[added, a] / sigma
-            for q in range(len(pairs)):
-                if not (possible[q] or q == added):
-                    continue
+            for q in possible:
                 for b in range(2):
                     covariance = _covariance(P, pairs[added], a, pairs[q], b)
                     for earlier in range(r):
-                        covariance -= w[added, earlier, a] * w[q, earlier, b]
-                    w[q, r, b] = covariance / sigma
+                        covariance -= w[earlier, added, a] * w[earlier, q, b]
+                    w[r, q, b] = covariance / sigma
                 for b in range(2):
-                    nu[q, b] -= w[q, r, b] * normalised
+                    nu[q, b] -= w[r, q, b] * normalised
                     for c in range(2):
-                        S[q, b, c] -= w[q, r, b] * w[q, r, c]
-        size, added, least = size + 1, -1, np.inf
-        for q in range(len(pairs) if size < most else 0):
-            if possible[q]:
+                        S[q, b, c] -= w[r, q, b] * w[r, q, c]
+        left, likeliest, least = 0, -1, np.inf
+        for q in possible:
+            if pairs[q, 0] != pairs[added, 0] and pairs[q, 1] != pairs[added, 1]:
                 distance, determinant = _distance(nu[q], S[q])
-                possible[q] = distance < gates[min(size, 2) - 1]
-                score = distance + math.log(determinant)
-                if possible[q] and score < least:
-                    least, added = score, q
-    return chosen[:size]
+                if distance < gates[min(size, 1)]:
+                    possible[left] = q
+                    left += 1
+                    if distance + math.log(determinant) < least:
+                        likeliest, least = int(q), distance + math.log(determinant)
+        if left == 0:
+            break
+        possible, added, total = possible[:left], likeliest, total + least
+    return total
 
 
 @compiled
 def _covariance(P: Array, one: IntArray, a: int, other: IntArray, b: int) -> float:
     """Covariance of coordinate a of the innovation of a pair with coordinate b of that of another pair."""
-    (i, j), (k, l) = (2 * one[1] + a, 2 * one[0] + a), (2 * other[1] + b, 2 * other[0] + b)
-    covariance: float = P[i, k] - P[i, l] - P[j, k] + P[j, l]
-    return covariance
+    i, j, k, l = 3 + 2 * one[1] + a, 3 + 2 * one[0] + a, 3 + 2 * other[1] + b, 3 + 2 * other[0] + b
+    same: float = P[min(i, k), max(i, k)] + P[min(j, l), max(j, l)]
+    crossed: float = P[min(i, l), max(i, l)] + P[min(j, k), max(j, k)]
+    return same - crossed
 
 
 @compiled
 def _distance(nu: Array, S: Array) -> tuple[float, float]:
-    """D² = νᵀ S⁻¹ ν, and det S, not below that of variances at the floor."""
-    determinant = max(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0], VARIANCE_FLOOR**2)
-    squared = S[1, 1] * nu[0] ** 2 - (S[0, 1] + S[1, 0]) * nu[0] * nu[1] + S[0, 0] * nu[1] ** 2
-    return squared / determinant, determinant
+    """D² = νᵀ S⁻¹ ν and det S, of an S whose variances are at least the floor."""
+    xx, yy, xy = max(S[0, 0], VARIANCE_FLOOR), max(S[1, 1], VARIANCE_FLOOR), 0.5 * (S[0, 1] + S[1, 0])
+    determinant = max(xx * yy - xy * xy, VARIANCE_FLOOR**2)
+    squared = yy * nu[0] ** 2 - 2.0 * xy * nu[0] * nu[1] + xx * nu[1] ** 2
+    return max(squared, 0.0) / determinant, determinant

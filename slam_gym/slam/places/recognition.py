@@ -43,22 +43,26 @@ _FEW = 100  # features; each doubling beyond requires one more pair
 class RecognitionSpec:
     """Settings of place recognition: what is searched for while the robot is tracked, and when a match is accepted."""
 
-    search: str | Relocator = "indexed"  # finds the recent part among other features
-    node_limit: int = 5_000  # poses that `indexed` examines before it gives up
     every: int = 20  # [scans] between searches
     group: int = 20  # most features of the recent part: those seen last
     recent: int = 60  # [scans] features seen in the last so many are recent, all others are older
-    min_pairs: int = 8  # of maps, without a prior; with six, half of the loops that were closed were wrong
-    min_loop_pairs: int = 5  # of a loop, with the map as the prior
-    max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs; above, it is refused
-    above_mirror: int = 3  # least number of pairs above those found for the mirror image of the recent part
-    min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired
     confidence: float = 0.999  # of the tests of pairs, shape and motion
     inflation: float = 3.0  # of the standard deviations of the motion between the two parts
+    min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired
+    margin: int = 3  # least number of pairs above those of the mirror image, and of another set of pairs
+    # loops, with the map as the prior
+    min_loop_pairs: int = 5
+    max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs, in one search
+    # maps and missed loops, without a prior
+    search: str | Relocator = "indexed"  # finds the recent part among other features
+    node_limit: int = 5_000  # poses that `indexed` examines before it gives up
+    min_pairs: int = 8  # with six, half of the loops that were closed without a prior were wrong
 
     def __post_init__(self) -> None:
         resolve_relocator(self.search)
         check_settings(self)
+        if self.min_loop_pairs > self.group:
+            raise ValueError(f"min_loop_pairs: {self.min_loop_pairs} is more than group, {self.group}")
 
 
 class Parts(NamedTuple):
@@ -79,20 +83,19 @@ def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpe
     return np.sort(part[np.argsort(last[part], kind="stable")[-spec.group :]])
 
 
-def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Parts | None:
-    """The recent part of a map and the older features it may match, or None if too few of either may match.
+def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec, least: int) -> Parts | None:
+    """The recent part of a map and the older features it may match, or None if fewer than `least` of either may match.
 
-    Each older feature is individually compatible with one of the recent part under the inflated covariance. A feature
-    of the recent part without a compatible older feature is still searched for, as part of the shape.
+    Each older feature is individually compatible with one of the recent part under the inflated covariance.
     """
     recent, is_older = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
     is_older[recent] = False
     older = np.flatnonzero(is_older)
-    if min(len(recent), len(older)) < spec.min_loop_pairs:
+    if min(len(recent), len(older)) < least:
         return None
     gate = spec.inflation**2 * chi2_gate(2, spec.confidence)
     near = np.isfinite(m.distances_between(recent, older, gate))
-    if min(near.any(axis=0).sum(), near.any(axis=1).sum()) < spec.min_loop_pairs:
+    if min(near.any(axis=0).sum(), near.any(axis=1).sum()) < least:
         return None
     return Parts(recent, older[near.any(axis=0)])
 
@@ -117,7 +120,7 @@ def recognise(
     found = _search(scan, landmarks, locality, spec, needed)
     if found.pairings < max(needed, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
         return None
-    least = found.pairings - spec.above_mirror + 1
+    least = found.pairings - spec.margin + 1
     accidental = _search(mirrored(scan), landmarks, locality, spec, least).pairings
     return found if accidental < least else None
 

@@ -66,10 +66,11 @@ def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:
 def agreeing(m: StochasticMap, pairs: IntArray, spec: RecognitionSpec, *, prior: bool) -> IntArray:
     """Drop the pairs (k, 2) that disagree with the others, worst first; returns those left (k', 2), or none.
 
-    None are left if there are too few, or their shape does not agree. With `prior`, the map must also consider their
-    motion possible. Raises as `agreement`.
+    None are left if they become fewer than `min_loop_pairs` (with `prior`) or `min_pairs`, or if their shape does not
+    agree. With `prior`, the map must also consider their motion possible. Raises as `agreement`.
     """
-    while len(pairs) >= max(spec.min_loop_pairs if prior else spec.min_pairs, 3):
+    least = spec.min_loop_pairs if prior else spec.min_pairs
+    while len(pairs) >= least:
         fit = agreement(m, pairs)
         worst = int(fit.added.argmax())
         if fit.added[worst] < chi2_gate(2, _ONE_PAIR):

@@ -7,6 +7,7 @@ import pytest
 
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.geometry import transform
+from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.places.loops import compatible_pairs, find_loop
@@ -76,11 +77,31 @@ def test_a_part_that_is_not_rigid_is_found() -> None:
 
 @pytest.mark.parametrize("drift", [0.4, 1.5])
 def test_other_ground_is_not_taken_for_old(drift: float) -> None:
-    closed = 0
+    any_set, closed, believed = replace(SPEC, margin=0, min_loop_pairs=3, max_accidental_loops=1e9), 0, 0
     for seed in range(40):
         rng = np.random.default_rng((1, seed))
-        closed += len(loop_in(*layered(rng, field(rng, 40), field(rng, 14), drift))) > 0
-    assert closed == 0  # bounds the rate by 3 / 40 at 95 %
+        mapped = layered(rng, field(rng, 40), field(rng, 14), drift)
+        closed += len(loop_in(*mapped)) > 0
+        believed += len(find_loop(*mapped, any_set)) > 0
+    assert closed == 0 and believed > 3  # bounds the rate by 3 / 40 at 95 %
+
+
+def corridor(rng: np.random.Generator, doors: int) -> Array:
+    """(2 doors, 2) [m] features beside the doors of both walls of a corridor along x, 2 m wide, every 2 m."""
+    along, across = np.meshgrid(2.0 * np.arange(doors), [-1.0, 1.0], indexing="ij")
+    places = np.column_stack([along.ravel(), across.ravel()])
+    return np.asarray(places + rng.normal(0.0, 0.1, places.shape))
+
+
+@pytest.mark.parametrize("offset", [(0.0, 4.0), (1.0, 0.5)])
+def test_a_corridor_that_fits_another_one_and_itself_a_door_further_is_not_taken_for_it(offset: tuple) -> None:
+    alone, closed = 0, 0
+    for seed in range(10):
+        rng = np.random.default_rng((7, seed))
+        m, graph = layered(rng, corridor(rng, 20), corridor(rng, 7) + np.array([10.0, 0.0]) + offset, drift=1.5)
+        alone += len(find_loop(m, graph, replace(SPEC, margin=0))) > 0
+        closed += len(loop_in(m, graph)) > 0
+    assert closed == 0 and alone > 2
 
 
 def test_the_mirror_image_of_old_ground_is_not_taken_for_it() -> None:
@@ -106,6 +127,36 @@ def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
     m, graph = layered(rng, older, older[:14])
     pairs = loop_in(m, graph)
     graph.see_together(pairs[0])
+    left = loop_in(m, graph)
+    assert len(left) == len(pairs) - 1 and pairs[0].tolist() not in left.tolist()
+
+
+def test_kinds_and_sizes_tell_features_apart() -> None:
+    rng = np.random.default_rng(8)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14])
+    assert len(loop_in(m, graph)) >= 12
+    sizes = m.arrays[3][ekf.SIZES]
+    sizes[:40], sizes[40:54] = 0.2, 0.9
+    m.arrays[3][ekf.VARIANCES, :54] = 1e-4
+    assert len(loop_in(m, graph)) == 0
+
+
+def test_a_feature_mapped_first_keeps_its_id_though_it_was_seen_last() -> None:
+    rng = np.random.default_rng(9)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14])
+    last = m.arrays[2][ekf.LAST_SEEN]
+    last[:14], last[14:54] = m.step, 0  # the recent part is the one that was mapped first
+    pairs = loop_in(m, graph)
+    assert len(pairs) >= 12 and (pairs[:, 0] == pairs[:, 1] - 40).all()
+
+
+def test_features_known_exactly_close_no_loop_and_break_nothing() -> None:
+    rng = np.random.default_rng(10)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14])
+    m.arrays[1][:] *= 1e-14
     assert len(loop_in(m, graph)) == 0
 
 
@@ -147,11 +198,13 @@ def test_the_search_finds_the_largest_set_that_grows_from_any_pair() -> None:
     for seed in range(4):
         rng = np.random.default_rng((6, seed))
         older = field(rng, 12)
-        m, _ = bent(rng, older, np.concatenate([older[:5], field(rng, 2)]))
+        m, graph = bent(rng, older, np.concatenate([older[:5], field(rng, 2)]))
         parts, gate = Parts(np.arange(12, 19), np.arange(12)), chi2_gate(2, SPEC.confidence)
         D = m.distances_between(parts.recent, parts.older, 9.0 * gate)
         pairs = np.argwhere(np.isfinite(D))[:, ::-1] + [0, 12]
         sets = [grown(m, pairs, first, np.array([9.0 * gate, gate])) for first in range(len(pairs))]
-        found = compatible_pairs(m, parts, SPEC)
+        found, rival = compatible_pairs(m, graph, parts, SPEC)
         largest = [sorted(map(tuple, pairs[each].tolist())) for each in sets if len(each) == max(map(len, sets))]
         assert sorted(map(tuple, found.tolist())) in largest, f"seed {seed}"
+        others = [pairs[each] for each in sets if not (pairs[each][:, None] == found[None]).all(axis=2).any()]
+        assert rival == max(map(len, others), default=0), f"seed {seed}"

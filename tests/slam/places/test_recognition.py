@@ -59,7 +59,7 @@ WRONG = {
     "min_pairs": 2,
     "min_loop_pairs": 2,
     "max_accidental_loops": 0.0,
-    "above_mirror": -1,
+    "margin": -1,
     "min_fraction": 1.5,
     "confidence": 1.0,
 }
