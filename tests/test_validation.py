@@ -1,5 +1,6 @@
 """Every fault of a scan and of a hypothesis is refused by name; what is fine passes, as it is or made plain."""
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -187,6 +188,7 @@ SETTINGS = [
     SensorSpec, BeamSpec, OdometrySpec, RobotSpec, DynamicsSpec, KidnappingSpec, Scenario, MapSpec, SlamSpec,
     RecognitionSpec, AtlasSpec,
 ]  # fmt: skip
+REQUIRED = {Scenario: {"name": "any", "generator": None, "budget": 1}}
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
@@ -196,6 +198,14 @@ def test_every_number_among_the_settings_has_limits(kind: type) -> None:
     numbers = {name for name, types in alternatives.items() if int in types or float in types}
     assert numbers == LIMITS[kind.__name__].keys()
     assert {known.__name__ for known in SETTINGS} == LIMITS.keys()
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in SETTINGS for name in LIMITS[kind.__name__]])
+def test_a_number_beyond_its_limits_is_refused_by_name(kind: type, name: str) -> None:
+    least, greatest = LIMITS[kind.__name__][name]
+    for wrong in (least - 1.0, math.nan, *([] if greatest == math.inf else [2.0 * greatest + 1.0])):
+        with pytest.raises(ValueError, match=rf"{kind.__name__}\.{name}="):
+            kind(**(REQUIRED.get(kind, {}) | {name: wrong}))
 
 
 @pytest.mark.parametrize(

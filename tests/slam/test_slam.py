@@ -155,23 +155,6 @@ def test_locality_hardly_changes_a_decision_while_tracking() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        {"reach": np.nan},
-        {"new_confidence": 1.0},
-        {"lost_fraction": 1.5},
-        {"max_chance_probability": 1.5},
-        {"recent": 0},
-        {"lost_scans": 0},
-        {"min_expected": 0},
-    ],
-)
-def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        SlamSpec(**settings)
-
-
-@pytest.mark.parametrize(
     ("odometry", "scan", "message"),
     [
         (scan_of(SEEN), STILL, "odometry: Scan, expected Odometry"),
