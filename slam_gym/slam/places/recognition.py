@@ -49,7 +49,7 @@ class RecognitionSpec:
     confidence: float = 0.999  # of the tests of pairs, shape and motion
     inflation: float = 3.0  # of the standard deviations of the motion between the two parts
     min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired
-    margin: int = 3  # least number of pairs above those of the mirror image, and of another set of pairs
+    margin: int = 3  # least number of pairs above those of the mirror image, or of any set without common pairs
     # loops, with the map as the prior
     min_loop_pairs: int = 5
     max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs, in one search
