@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,7 @@ from slam_gym.mapping.measurement import RowArrays, foresee, joint_covariance, r
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
-from slam_gym.types._fields import floats, kinds_of, sizes_of
-
-Entry = TypeVar("Entry", bound=np.generic)
+from slam_gym.types._fields import Entry, floats, kinds_of, sizes_of
 
 SourceArrays = tuple[Array, Array, Array, IntArray, IntArray, SightArrays, Array]
 """The arrays for further queries: predicted pose and variance of its heading (4,); state x and covariance P (upper

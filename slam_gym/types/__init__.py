@@ -17,6 +17,7 @@ from slam_gym.types._fields import (
     FLOAT,
     INTEGER,
     check_array,
+    compact,
     covariances_of,
     deviations,
     floats,
@@ -95,13 +96,14 @@ class Scan:
     def arrays(self) -> ScanArrays:
         """The arrays for compiled functions, marked writeable as these are compiled for; they write to none of them."""
         arrays = self.points, self.covariances, self.sizes, self.size_variances, self.kinds
-        if self.points.flags.writeable:
-            return arrays
-        return _views(arrays, writeable=True)
+        return arrays if self.points.flags.writeable else tuple(map(compact, arrays))  # type: ignore[return-value]
 
     def read_only(self) -> Scan:
         """The same measurements in arrays that cannot be written to."""
-        return Scan(*_views(self.arrays, writeable=False))
+        views = [array.view() for array in self.arrays]
+        for view in views:
+            view.flags.writeable = False
+        return Scan(*views)  # type: ignore[arg-type]
 
     @classmethod
     def from_points(
@@ -160,15 +162,6 @@ class Scan:
         covariances[:, 0, 1] = covariances[:, 1, 0] = c * s * (along - across)
         points = np.column_stack([r * c, r * s])
         return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
-
-
-def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
-    """Views of the arrays of a scan, all of them writeable or all read-only."""
-    points, covariances, sizes, size_variances, kinds = arrays
-    views = points.view(), covariances.view(), sizes.view(), size_variances.view(), kinds.view()
-    for view in views:
-        view.flags.writeable = writeable
-    return views
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Entry = TypeVar("Entry", bound=np.generic)
 
 FLOAT, INTEGER = np.dtype(np.float64), np.dtype(np.int64)
 
@@ -106,3 +107,13 @@ def compiled_form(name: str, record: Any, *further: str) -> Any:
     `name` must be that of the variable in the dataclass's module to which it is assigned.
     """
     return namedtuple(name, [*further, *(field.name for field in fields(record))], module=record.__module__)
+
+
+def compact(array: NDArray[Entry]) -> NDArray[Entry]:
+    """The array as loops are compiled for: C-contiguous, and marked writeable. They do not write to it."""
+    view = np.ascontiguousarray(array).view()
+    try:
+        view.flags.writeable = True
+    except ValueError:  # its memory is read-only
+        return view.copy()
+    return view

@@ -1,12 +1,16 @@
 """Visibility against Monte Carlo, against lines of sight drawn by hand, and against what it must never depend on."""
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numba import typeof
 
+from slam_gym.association.prediction import predict
 from slam_gym.geometry import observe, transform
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.visibility import NOTHING_EXPLORED, ViewsFrom, probabilities_in_view
 from tests.oracles.densities import in_view
@@ -123,19 +127,12 @@ def test_walls_only_ever_hide_and_a_turn_of_everything_changes_nothing(seed):
     assert np.abs(again - got).max() < 0.25 and np.median(np.abs(again - got)) < 1e-6  # but for rays along borders
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("angle", {"angle": 0.0}),
-        ("angle", {"angle": 7.0}),
-        ("angle", {"angle": math.nan}),
-        ("range", {"range": math.inf}),
-        ("range", {"range": 1.0, "min_range": 2.0}),
-        ("unknown", {"unknown": 1.5}),
-    ],
-)
-def test_bad_fields_of_view_are_named(name, options):
-    with pytest.raises(ValueError, match=name):
+BAD = [{"angle": 0.0}, {"angle": 7.0}, {"angle": math.nan}, {"range": math.inf}, {"range": 1.0, "min_range": 2.0}]
+
+
+@pytest.mark.parametrize("options", [*BAD, {"unknown": 1.5}])
+def test_bad_fields_of_view_are_named(options):
+    with pytest.raises(ValueError, match=f"ViewsFrom.{next(iter(options))}"):
         ViewsFrom(**{"angle": 2.0, "range": 5.0} | options)
 
 
@@ -162,3 +159,9 @@ def test_explored_cells_can_be_looked_at_but_not_changed():
     for array in (grid.explored.cells, grid.explored.origin):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = WALL
+
+
+def test_loops_are_compiled_once_for_predictions_with_and_without_a_view():
+    views = NARROW, replace(NARROW, explored=grid_of("...").explored)
+    made = [predict(StochasticMap(), 5.0, sight=view) for view in (None, *views)]
+    assert len({typeof(prediction.arrays) for prediction in [*made, pickle.loads(pickle.dumps(made[2]))]}) == 1

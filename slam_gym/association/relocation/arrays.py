@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, ScanArrays
+from slam_gym.types._fields import compact
 from slam_gym.validation import check_scan
-
-Entry = TypeVar("Entry", bound=np.generic)
 
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the product of the variances
 
@@ -91,13 +89,3 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
     if len(members) and not (members.min() >= 0 and members.max() < n):
         raise ValueError(f"Locality.members: {members.min()} to {members.max()} for {n} features")
     return starts, members
-
-
-def compact(array: NDArray[Entry]) -> NDArray[Entry]:
-    """The array as the searches are compiled for: C-contiguous, and marked writeable. They do not write to it."""
-    view = np.ascontiguousarray(array).view()
-    try:
-        view.flags.writeable = True
-    except ValueError:  # its memory is read-only
-        return view.copy()
-    return view

@@ -299,7 +299,7 @@ def _promising(
         trials.append(HeadingSearch(problem, heading.candidates.tests, odds, margin))
         if len(headings) == 1:
             return trials
-        searched = search_tree(problem, odds, _TRIAL_WIDTH, margin)
+        searched = search_tree(problem, odds, min(_TRIAL_WIDTH, limits.width), margin)
         score[n] = heading.part.log_weight + searched.beam.score.max()
         behind[n] = -(heading.part.log_weight + _greatest_density(searched, heading, prices, problem.visible))
         best = max(best, score[n])
