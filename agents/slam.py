@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from slam_gym.types import Array
 
 
-def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array]:
-    """Run SLAM over a log; returns it with its poses (T, 3) [m, m, rad]."""
+def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array, int]:
+    """Run SLAM over a log; returns it with its poses (T, 3) [m, m, rad], and the number of scans that were doubted."""
     from slam_gym.scenarios.registry import slam_for
     from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.relocate import relocate_by
@@ -31,11 +31,12 @@ def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, 
 
     parts = {} if relocation is None else {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
     slam = Slam(slam_for(log), **parts)  # type: ignore[arg-type]
-    poses = np.empty((len(log), 3))
+    poses, doubted = np.empty((len(log), 3)), 0
     for step, (odometry, scan, _) in enumerate(log.steps()):
         slam.step(odometry, scan, associator)
         poses[step] = slam.map.pose
-    return slam, poses
+        doubted += slam.doubted
+    return slam, poses, doubted
 
 
 def main(
@@ -56,7 +57,7 @@ def main(
     output.mkdir(parents=True, exist_ok=True)
     for recording in open_recordings(log):
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
-        slam, poses = run(recording, associator, search_of(relocation))
+        slam, poses, doubted = run(recording, associator, search_of(relocation))
         files = [output / f"{recording.name}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
         m = slam.map
         deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
@@ -69,6 +70,10 @@ def main(
         ax.set(title=f"{recording.name}: {len(table)} features by {associator}", xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
         print(f"{len(table)} features, {len(slam.maps)} {'map' if len(slam.maps) == 1 else 'maps that are not joined'}")
+        if slam.tracker is not None and (doubted or slam.tracker.slips):
+            print(
+                f"the wheels slipped {slam.tracker.slips} times; {doubted} scans fit nowhere and were not learned from"
+            )
         print("\n".join(str(file) for file in files))
 
 

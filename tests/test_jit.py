@@ -10,7 +10,7 @@ import pytest
 
 STEP = """
 import numpy as np
-from slam_gym.mapping import ekf, linear_algebra
+from slam_gym.mapping import linear_algebra
 linear_algebra.subtract_squares(np.eye(16), np.zeros((2, 16)))
 print(linear_algebra.cholesky(4.0 * np.eye(3)))
 """
@@ -40,11 +40,6 @@ def cache(compiled: tuple[Path, str], tmp_path: Path) -> Path:
 def test_what_is_compiled_is_told(compiled: tuple[Path, str]) -> None:
     _, told = compiled
     assert "compiles its inner loops, once: " in told and " 0 of up to " in told and ", subtract_squares" in told
-
-
-def test_so_it_is_where_only_some_of_what_is_needed_is_cached(cache: Path) -> None:
-    _, told = run(STEP + "ekf.predict(np.zeros(8), np.eye(8), 3, np.zeros(3), np.eye(3))", cache)
-    assert "compiles its inner loops" in told and ", predict" in told
 
 
 def test_what_is_cached_is_not_told_nor_is_what_others_compile(cache: Path) -> None:

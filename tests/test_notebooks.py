@@ -59,10 +59,6 @@ def row(shown: str, name: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", [row for row in rows if re.search(r"\d", row)][-1])]
 
 
-def test_all_notebooks_are_there() -> None:
-    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06"]
-
-
 def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -> None:
     assert len(nbformat.writes(committed)) < LARGEST
     assert committed.metadata.kernelspec.name == "python3"

@@ -45,8 +45,9 @@ single pairing is convincing where its gate is narrow. Several pairings together
 poorly known: their errors have the pose in common, so that √det S is far below Π √det S_i.
 
 A set of k pairs of newer and older features (`slam.places.loops`) is judged by the same formula. S is the covariance of
-the differences of the pairs, l the number of newer features, and n_i the mean over the whole map. The number counts
-features that lie at random: it does not tell whether a building repeats itself.
+the differences of the pairs, l the number of newer features, and n_i the mean over the whole map. Only sets that fit as
+well are counted: the D² of the set stands for γ_{2k}. The number counts features that lie at random: it does not tell
+whether a building repeats itself.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
 EXPLAINED = 0.7  # fraction of a scan above which no further pairing is required
+_NEIGHBOURS_OF = 100  # number of features whose nearest neighbours are looked up
 _SAMPLE = 1000  # number of landmarks sampled for their errors and for the unary constraints
 _NARROWEST = 1e-3  # [m] minimum extent of a scan
 
@@ -242,32 +244,47 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     return _log_expected_sets(len(features) - len(near), float(log_det), others, sizes, prediction.confidence)
 
 
-def log_expected_pairs(S: Array, choices: int, positions: Array, confidence: float) -> float:
-    """log of the expected number of accidental sets of k pairs of a newer and an older feature (see the head of this
-    file), where k of `choices` newer features are paired; inf if S is singular.
+def log_expected_pairs(nu: Array, S: Array, choices: int, positions: Array, confidence: float) -> float:
+    """log of the expected number of accidental sets of k pairs of a newer and an older feature that fit as well as this
+    one (see the head of this file), where k of `choices` newer features are paired; inf if S is singular.
 
-    S (2k, 2k) [m²] is the covariance of the differences of the pairs, and `positions` (n, 2) [m] are those of the map.
+    Arguments:
+        nu: (2k,) [m] differences of the pairs.
+        S: (2k, 2k) [m²] their covariance.
+        positions: (n, 2) [m] of the features of the map.
+        confidence: of the gate that all sets pass.
     """
     k, (sign, log_det) = len(S) // 2, np.linalg.slogdet(S)
     if sign <= 0.0:
         return math.inf
     sizes = np.sqrt(np.linalg.det(S.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]))
     others = _others_in_gates(positions, chi2_gate(2, confidence) * sizes)
-    return _log_expected_sets(choices, float(log_det), others, sizes, confidence)
+    distance = max(float(nu @ np.linalg.solve(S, nu)), VARIANCE_FLOOR)
+    return _log_expected_sets(choices, float(log_det), others, sizes, confidence, distance)
 
 
 def _others_in_gates(positions: Array, squared_radii: Array) -> Array:
-    """(k,) mean number of other features around a feature within each of the radii (k,), at least 1 / n."""
+    """(k,) mean number of other features around a feature within each of the radii (k,), more than 0.
+
+    Among n features no fraction below 1 / n is counted. In so narrow a gate the number is that of a Poisson process
+    with the same median distance to the nearest neighbour, d: n_i = ln 2 (r / d)².
+    """
     tree, n = cKDTree(positions), len(positions)
-    others: Array = np.maximum(tree.count_neighbors(tree, np.sqrt(squared_radii)) / n - 1.0, 1.0 / n)
+    sample = positions[:: max(n // _NEIGHBOURS_OF, 1)]
+    nearest = float(np.median(tree.query(sample, k=2)[0][:, 1]))
+    poisson = math.log(2.0) * squared_radii / nearest**2 if 0.0 < nearest < math.inf else math.inf
+    counted = tree.count_neighbors(tree, np.sqrt(squared_radii)) / n - 1.0
+    others: Array = np.maximum(counted, np.minimum(poisson, 1.0 / n))
     return others
 
 
-def _log_expected_sets(choices: int, log_det: float, others: Array, sizes: Array, confidence: float) -> float:
+def _log_expected_sets(
+    choices: int, log_det: float, others: Array, sizes: Array, confidence: float, distance: float = math.inf
+) -> float:
     """log (l over k) V_{2k} γ_{2k}^k √det S Π n_i / (π γ_2 √det S_i), with l the choices, n_i `others` (k,), and
-    √det S_i `sizes` (k,)."""
+    √det S_i `sizes` (k,). A `distance` below γ_{2k} takes its place."""
     k, gates = len(sizes), joint_gates(len(sizes), confidence)
     log_densities = np.log(others / (math.pi * gates[1] * sizes))
     log_choices = gammaln(choices + 1) - gammaln(k + 1) - gammaln(choices - k + 1)
-    log_volume = k * math.log(math.pi * gates[k]) - gammaln(k + 1) + 0.5 * log_det
+    log_volume = k * math.log(math.pi * min(distance, gates[k])) - gammaln(k + 1) + 0.5 * log_det
     return float(log_choices + log_volume + log_densities.sum())

@@ -316,7 +316,7 @@ def predict(
     scan: Scan | None = None,
     graph: CovisibilityGraph | None = None,
     recent: IntArray = _NO_RECENT,
-    accidental: tuple[float, float] = (0.0, math.inf),
+    accidental: tuple[float, float, bool] = (0.0, math.inf, False),
     sight: ViewsFrom | None = None,
     view_moves: bool = True,
     experience: Experience | None = None,
@@ -327,8 +327,8 @@ def predict(
         scan: checked before the robot moves.
         graph: covisibility graph that defines the localities; None: all features are local to each other.
         recent: (r,) features paired in recent scans, or UNPAIRED; they and the features local to them are near.
-        accidental: χ² gate of a pairing, and the number of accidental matches expected in the gate of a feature that is
-            not near above which it is left out.
+        accidental: χ² gate of a pairing; the number of accidental matches expected in the gate of a feature that is not
+            near above which it is left out; and whether one is left out that may be the same as a near feature.
         sight: computes what the sensor has in view from a pose.
         view_moves: whether a hypothesis may compute visibility from the pose that it implies; False where the pose is
             poorly known.

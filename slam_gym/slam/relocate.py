@@ -12,6 +12,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
 from slam_gym.association.acceptance import min_pairings
+from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
@@ -25,7 +26,7 @@ _EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
-_KNOWN_AFTER = 10  # [scans] without a measurement farther to the side, after which the sector of view counts as known
+_SLIP_CONFIDENCE = 0.9999  # of the joint test of pairings without slip
 _BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 SEARCH = "gcbb"
@@ -48,11 +49,11 @@ class Tracker:
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
 
-    Where the prediction does not tell what is in view, a scan that pairs anything is believed: on new ground, where one
-    scan pairs less than the one before, a doubt would keep the map from learning the features that the next scans can
-    be paired with. The sector of directions in which anything was measured so far then stands for the view: a feature
-    that the last scan paired and that a turn has put out of the sector is not expected. A doubt lasts until a scan
-    pairs something.
+    Where the prediction does not tell what is in view, a scan that pairs anything is believed, unless most of many
+    expected features are missing: on new ground, where one scan pairs less than the one before, a doubt would keep the
+    map from learning the features that the next scans can be paired with. The sector of directions in which anything
+    was measured so far then stands for the view: a feature that the last scan paired and that a turn has put out of the
+    sector is not expected. A doubt lasts until a scan pairs something.
 
     So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
     features that walls are known to hide.
@@ -67,10 +68,10 @@ class Tracker:
         self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
         self.doubted = 0  # consecutive doubted scans
         self.relocations = 0  # how often a lost robot was found again
+        self.slips = 0  # how often the wheels have slipped
         self._last_paired: IntArray = np.empty(0, np.int64)
         # (m,) features paired by the last scan that was believed, or UNPAIRED
         self._least_cosine = 1.0  # of the bearings of all measurements so far
-        self._looks = 0  # scans since the least cosine last fell
 
     @property
     def lost(self) -> bool:
@@ -82,25 +83,35 @@ class Tracker:
 
         Some pairings are accidental, so a lost robot needs twice the fraction, and twice the number, to be believed.
         """
-        blind = not prediction.has_view
-        if blind:
+        if not prediction.has_view:
             self.look(scan.points)
-        pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
-        explained = pairings >= max(_BELIEVED, self.fraction) * len(hypothesis.features)
-        # without a view a single pairing is enough: the other measurements may show new ground
-        has_enough = not self.lost and (explained or (blind and pairings > 0))
-        if has_enough or not self._misses_too_much(prediction, hypothesis):
+        if self._has_enough(prediction, hypothesis):
             self.accept(hypothesis)
             return True
         self.doubted += 1
         return False
 
+    def suspects_slip(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Whether the wheels may have slipped since the last scan: this one is not believed, or its pairings fit worse
+        than errors of a normal motion explain. Never where the view is known, since doubts are reliable there."""
+        if self.lost or prediction.has_view or len(hypothesis.features) < self.min_expected:
+            return False
+        fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
+        return not fits or not self._has_enough(prediction, hypothesis)
+
+    def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
+        """Whether the hypothesis `after`, for a `prediction` with slip, pairs half of the scan and no less than the one
+        `before`, and is jointly compatible."""
+        established = _pairings_with(*prediction.counted, prediction.confirmations, after.features)
+        paired = int(np.count_nonzero(before.features != UNPAIRED))
+        least = max(self.min_expected, paired, _EXPLAINED * len(after.features))
+        fits = after.joint_distance < chi2_gate(max(after.dof, 1), _SLIP_CONFIDENCE)
+        return established >= least and fits
+
     def look(self, points: Array) -> None:
         """Learn from measurements (m, 2) [m] in R how far to either side the sensor can look."""
         ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
-        least = float(ahead.min(initial=1.0))
-        self._looks = 0 if least < self._least_cosine else self._looks + 1
-        self._least_cosine = min(least, self._least_cosine)
+        self._least_cosine = min(float(ahead.min(initial=1.0)), self._least_cosine)
 
     def accept(self, hypothesis: Hypothesis) -> None:
         """End all doubts: tracking goes on from this hypothesis."""
@@ -114,6 +125,17 @@ class Tracker:
     def renumber(self, became: IntArray) -> None:
         """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
         self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
+
+    def _has_enough(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
+        measured = len(hypothesis.features)
+        explained = pairings >= max(_BELIEVED, self.fraction) * measured
+        if not self.lost and not explained and not prediction.has_view and pairings > 0:
+            # the other measurements may show new ground, unless many features have disappeared
+            expected = prediction.features[~prediction.provisional & self._should_be_seen(prediction)]
+            missing = np.count_nonzero(~np.isin(expected, hypothesis.features)) > (1.0 - self.fraction) * len(expected)
+            explained = not missing or min(len(expected), measured) < 2 * self.min_expected
+        return (explained and not self.lost) or not self._misses_too_much(prediction, hypothesis)
 
     def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         established = ~prediction.provisional
@@ -138,9 +160,7 @@ class Tracker:
         return (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
 
     def _in_sector(self, positions: Array) -> BoolArray:
-        """(k,) which of the positions (k, 2) in R lie in a direction in which the sensor looks; at first, all."""
-        if self._looks < _KNOWN_AFTER:
-            return np.ones(len(positions), np.bool_)
+        """(k,) which of the positions (k, 2) in R lie in a direction in which the sensor has measured before."""
         ahead: BoolArray = positions[:, 0] >= self._least_cosine * np.hypot(positions[:, 0], positions[:, 1])
         return ahead
 

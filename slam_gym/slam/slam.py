@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam_gym.association import resolve_associator
+from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -37,6 +37,7 @@ from slam_gym.types import (
 from slam_gym.validation import check_hypothesis, check_inputs, check_settings
 
 _NO_FEATURES = np.empty(0, np.int64)
+_SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 """A robot that does not move, for certain."""
 
@@ -102,6 +103,7 @@ class Slam:
         self._learned = 0  # [scans] learned from so far
         self._farthest = 0.0  # [m] distance of the farthest measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
+        self._odometry = STILL  # the last
         self._warned = False
         confidence, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
         # χ² gate: a measurement that is compatible with any feature within it does not start a new one
@@ -127,8 +129,8 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers and invalid covariances.
         """
         check_inputs(odometry, scan)
-        most = math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
-        return self._predict(odometry, scan, most)
+        self._odometry = odometry
+        return self._predict(odometry, scan, self._most_accidental)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Complete the step after association: the map learns from the scan if the tracker believes it.
@@ -136,6 +138,8 @@ class Slam:
         Raises ValueError for a hypothesis that does not fit scan and map; only the motion has been predicted then.
         """
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
+        if self.tracker is not None and self.tracker.suspects_slip(prediction, hypothesis):
+            prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker)
         if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
             return self.close_loops(self.relocate(scan, prediction), scan)
         rule = StartRule.of(hypothesis)
@@ -218,6 +222,10 @@ class Slam:
         return replace(step, removed=removed_now, returned=fusion.returned)
 
     @property
+    def _most_accidental(self) -> float:
+        return math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
+
+    @property
     def reach(self) -> float:
         """[m] within which features are predicted: `spec.reach`, or the distance of the farthest measurement so far."""
         return self._farthest if self.spec.reach is None else self.spec.reach
@@ -256,13 +264,30 @@ class Slam:
         reach = self.reach
         if self.spec.reach is None:
             reach = max(reach, _farthest(scan.points, scan.covariances))
+        starts_duplicates = self.atlas is not None and self.atlas.starts_from_rejected
         prediction = predict(
             self.map, reach, odometry=odometry, scan=scan, graph=self.covisibility if self.spec.locality else None,
-            recent=self._recent.ravel(), accidental=(self._gate, most_accidental), sight=self.view_from,
-            experience=self._experience,
+            recent=self._recent.ravel(), accidental=(self._gate, most_accidental, starts_duplicates),
+            sight=self.view_from, experience=self._experience,
         )  # fmt: skip
         self._farthest = reach
         return prediction
+
+    def _after_slip(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, tracker: Tracker
+    ) -> tuple[Prediction, Hypothesis]:
+        """Associate again with `_SLIP` times the covariance of the last motion. Returns prediction and hypothesis of
+        wheels that have slipped if the scan confirms it, and otherwise the given ones."""
+        before, Q = self.map, self._odometry.covariance
+        self.map = before.copy()
+        prediction_after = self._predict(Odometry(np.zeros(3), (_SLIP - 1.0) * Q), scan, self._most_accidental)
+        after = marginal(scan, prediction_after)
+        if tracker.confirms_slip(hypothesis, prediction_after, after):
+            tracker.slips += 1
+            weighs_all = hypothesis.experience is not None
+            return prediction_after, after if weighs_all else replace(after, experience=None)
+        self.map = before
+        return prediction, hypothesis
 
     def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""

@@ -166,7 +166,9 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
                 P = m.covariance_of(np.array([amid, features[row]]))
                 relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
                 expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
-        count, kept = keep_unambiguous(p.rows, len(p), m.arrays[1], per_area, most), near | (expected <= most)
+        kept, gate = near | (expected <= most), (seed % 3) * 1.0
+        kept &= near | ~np.isfinite(m.distances_between(features, features[near], gate)).any(axis=1)
+        count = keep_unambiguous(p.rows, len(p), m.arrays[:2], per_area, most, gate)
         np.testing.assert_array_equal(p.features[:count], features[kept])
         np.testing.assert_array_equal(p.positions[:count], at[kept])
         left.append(len(features) - count)
@@ -194,12 +196,13 @@ def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> 
         gates = [chi2.ppf(p.confidence, 2 * count) for count in (1, k)]
         expected = math.comb(k + 2, k) * math.pi**k / math.factorial(k) * gates[1] ** k * diagonal.prod()
         apart = np.hypot(*(m.positions[:, None] - m.positions[None]).T)
+        poisson = math.log(2.0) / np.median((apart + 100.0 * np.eye(m.n)).min(axis=0)) ** 2
         for row in rows[order][len(rows) - k :]:
             block, between = p.covariances[row] + sigma**2 * np.eye(2), p.positions[:, None] - p.positions[None]
             area = math.sqrt(np.linalg.det(block))
             everywhere = (apart <= math.sqrt(gates[0] * area)).sum() / m.n - 1.0
             near_by = np.einsum("abi,ij,abj->ab", between, np.linalg.inv(block), between) < gates[0]
-            others = max(everywhere, near_by.sum() / len(p) - 1.0, 1.0 / m.n)
+            others = max(everywhere, near_by.sum() / len(p) - 1.0, min(1.0 / m.n, poisson * gates[0] * area))
             expected *= others / (math.pi * gates[0] * area)
         assert np.exp(log_expected_old(scan, p, decisions, old)) == pytest.approx(expected)
         np.testing.assert_array_equal(rejected, old & (expected > 0.05))
@@ -227,18 +230,21 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
 
 
 def test_sets_of_pairs_are_expected_by_the_formula_and_no_more_often_by_chance() -> None:
-    """Of points at random, with independent errors of the pairs: the number of pairs within the gate, for k = 1."""
+    """Of points at random, with independent errors of the pairs: the number of pairs that fit as well, for k = 1."""
     counted, expected = 0, 0.0
     for seed in range(300):
         rng = np.random.default_rng(seed)
         positions, newer, sigma = rng.uniform(-10.0, 10.0, (60, 2)), rng.uniform(-8.0, 8.0, (3, 2)), 0.4
-        S = sigma**2 * np.eye(4)
-        others = (np.hypot(*(positions[:, None] - positions[None]).T) <= sigma * math.sqrt(chi2.ppf(0.99, 2))).sum()
-        density = max(others / 60 - 1.0, 1.0 / 60) / (math.pi * chi2.ppf(0.99, 2) * sigma**2)
-        value = math.comb(3, 2) * (math.pi * chi2.ppf(0.99, 4) * sigma**2 * density) ** 2 / 2.0
-        assert np.exp(log_expected_pairs(S, 3, positions, 0.99)) == pytest.approx(value)
+        S, nu, gates = sigma**2 * np.eye(4), rng.uniform(-2.0, 2.0, 4), chi2.ppf(0.99, [2, 4])
+        apart = np.hypot(*(positions[:, None] - positions[None]).T)
+        counted_others = (apart <= sigma * math.sqrt(gates[0])).sum() / 60 - 1.0
+        nearest = np.median((apart + 100.0 * np.eye(60)).min(axis=0))
+        others = max(counted_others, min(1.0 / 60, math.log(2.0) * gates[0] * (sigma / nearest) ** 2))
+        density, squares = others / (math.pi * gates[0] * sigma**2), nu**2 / sigma**2
+        value = math.comb(3, 2) * (math.pi * min(gates[1], squares.sum()) * sigma**2 * density) ** 2 / 2.0
+        assert np.exp(log_expected_pairs(nu, S, 3, positions, 0.99)) == pytest.approx(value)
         squared = ((newer[:, None] - positions[None]) ** 2).sum(axis=2) / sigma**2
-        counted += int((squared < chi2.ppf(0.99, 2)).sum())
-        expected += np.exp(log_expected_pairs(S[:2, :2], 3, positions, 0.99))
+        counted += int((squared < min(gates[0], squares[:2].sum())).sum())
+        expected += np.exp(log_expected_pairs(nu[:2], S[:2, :2], 3, positions, 0.99))
     assert counted > 100 and counted / 1.3 < expected < 1.3 * counted, f"{counted}, not {expected}"
-    assert log_expected_pairs(np.zeros((4, 4)), 3, positions, 0.99) == math.inf
+    assert log_expected_pairs(np.ones(4), np.zeros((4, 4)), 3, positions, 0.99) == math.inf

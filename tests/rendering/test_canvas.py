@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import observe, transform
-from slam_gym.rendering.canvas import SUPERSAMPLING, Canvas, Window, pixels, pygame
+from slam_gym.rendering.canvas import SUPERSAMPLING, Canvas, pixels, pygame
 
 pytest.importorskip("pygame")
 
@@ -62,15 +62,3 @@ def test_without_pygame_the_error_names_the_extra() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.returncode != 0 and "slam_gym[render]" in done.stderr
-
-
-def test_a_window_opens_closes_and_opens_again() -> None:
-    window, surface = Window("test", fps=1000.0), pygame.Surface((30, 20), depth=32)
-    window.close()
-    for _ in range(2):
-        window.show(surface)
-        window.show(surface)
-        assert pygame.display.get_surface().get_size() == (30, 20)
-        window.close()
-        window.close()
-        assert not pygame.display.get_init()

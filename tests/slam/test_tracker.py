@@ -82,16 +82,6 @@ def test_a_lost_robot_stays_lost_where_nothing_is_expected() -> None:
     assert tracker.lost and doubts(tracker, prediction(np.zeros(FEATURES)), paired(0))
 
 
-def test_without_visibilities_what_was_paired_last_is_expected() -> None:
-    tracker = Tracker(0.3, 1, 4)
-    assert not doubts(tracker, prediction(), paired(8))
-    assert doubts(tracker, prediction(), paired(0))
-    unseen = Tracker(0.3, 1, 4)
-    assert not doubts(unseen, prediction(), paired(3))
-    assert not doubts(unseen, prediction(), paired(0))  # three are too few
-    assert doubts(Tracker(0.3, 1, 4), prediction(), paired(0)) is False  # nothing was paired before
-
-
 AHEAD = np.column_stack([np.full(FEATURES, 2.0), np.linspace(-1.0, 1.0, FEATURES)])
 
 
@@ -99,23 +89,52 @@ def facing(positions: np.ndarray) -> Prediction:
     return Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
 
 
-def having_looked(times: int) -> Tracker:
-    """A tracker that has learned so often that its sensor looks ahead."""
-    tracker = Tracker(0.3, 3, 4)
-    for _ in range(times):
-        tracker.look(AHEAD)
+def looking_ahead(scans: int = 3) -> Tracker:
+    """A tracker whose robot is lost after so many `scans`, and whose sensor has measured ahead of it only."""
+    tracker = Tracker(0.3, scans, 4)
+    tracker.look(AHEAD)
     return tracker
 
 
+def test_without_visibilities_what_was_paired_last_is_expected() -> None:
+    tracker = looking_ahead()
+    assert not doubts(tracker, facing(AHEAD), paired(8))
+    assert doubts(tracker, facing(AHEAD), paired(0))
+    unseen = looking_ahead()
+    assert not doubts(unseen, facing(AHEAD), paired(3))
+    assert not doubts(unseen, facing(AHEAD), paired(0))  # three are too few
+    assert not doubts(looking_ahead(), facing(AHEAD), paired(0))  # nothing was paired before
+
+
+def test_one_accidental_pairing_is_not_enough_where_many_features_have_disappeared() -> None:
+    tracker = looking_ahead()
+    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and doubts(tracker, facing(AHEAD), paired(1))
+    few = replace(paired(1), features=paired(1).features[:5])
+    assert not doubts(tracker, facing(AHEAD), paired(3)) and not doubts(tracker, facing(AHEAD), few)
+
+
 def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
-    for learned in (True, False):
-        tracker = having_looked(20 if learned else 2)
-        assert not doubts(tracker, facing(AHEAD), paired(FEATURES))
-        assert doubts(tracker, facing(-AHEAD), paired(0)) is not learned
+    tracker = looking_ahead()
+    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and not doubts(tracker, facing(-AHEAD), paired(0))
+    everywhere = looking_ahead()
+    everywhere.look(-AHEAD)
+    assert not doubts(everywhere, facing(AHEAD), paired(FEATURES)) and doubts(everywhere, facing(-AHEAD), paired(0))
+
+
+def test_slip_is_suspected_without_a_view_where_pairings_are_few_or_fit_badly_and_needs_half_of_the_scan() -> None:
+    tracker, ahead = looking_ahead(), facing(AHEAD)
+    assert not doubts(tracker, ahead, paired(FEATURES))
+    badly = replace(paired(8), joint_distance=100.0)
+    assert tracker.suspects_slip(ahead, paired(0)) and tracker.suspects_slip(ahead, badly)
+    assert not tracker.suspects_slip(ahead, paired(8))
+    assert not tracker.suspects_slip(ahead.with_visibility(np.ones(FEATURES)), badly)
+    for after, confirmed in ((paired(5), True), (paired(4), False), (badly, False)):
+        assert tracker.confirms_slip(paired(4), ahead, after) is confirmed
+    assert not tracker.confirms_slip(paired(6), ahead, paired(5))
 
 
 def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
-    tracker = having_looked(20)
+    tracker = looking_ahead()
     assert not doubts(tracker, facing(AHEAD), paired(FEATURES))
     assert doubts(tracker, facing(AHEAD), paired(0)) and doubts(tracker, facing(-AHEAD), paired(0))
     assert not doubts(tracker, facing(-AHEAD), paired(6))
@@ -131,7 +150,7 @@ def test_what_the_last_scan_paired_is_followed_through_removals() -> None:
 
 
 def test_in_another_map_nothing_is_expected_of_the_last_one() -> None:
-    tracker = Tracker(0.3, 1, 4)
-    assert not doubts(tracker, prediction(), paired(5)) and doubts(tracker, prediction(), paired(0)) and tracker.lost
+    tracker, ahead = looking_ahead(scans=1), facing(AHEAD)
+    assert not doubts(tracker, ahead, paired(5)) and doubts(tracker, ahead, paired(0)) and tracker.lost
     tracker.forget()
-    assert not tracker.lost and not doubts(tracker, prediction(), paired(0))
+    assert not tracker.lost and not doubts(tracker, ahead, paired(0))

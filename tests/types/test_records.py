@@ -79,14 +79,14 @@ def test_sigmas_sizes_and_kinds_are_for_each() -> None:
         (lambda: Scan.from_polar([1], [0.1], 0.1, -0.1), "bearing_sigma: -0.1 is negative"),
         (lambda: Scan.from_points([[1, 2]], sigma=-0.1), "sigma: -0.1 is negative"),
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, sizes=[1], size_sigma=-1), "size_sigma: -1 is negative"),
+        (lambda: Prediction.from_gaussian([[1, 2]], np.eye(3)), r"covariance: shape \(3, 3\), expected \(2, 2\)"),
+        (lambda: Landmarks.from_points([[1, 2]], sigma=0.1, covariance=np.eye(2)), "exactly one of the three"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(make, message) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
-
-# --- what is decided --------------------------------------------------------------------------------------------------
 
 FEATURES = np.array([4, UNPAIRED, 0, 7])
 
@@ -97,25 +97,12 @@ def test_a_relocation_needs_enough_pairings_at_one_pose_only() -> None:
     assert not replace(found, min_pairings=4).accepted and not replace(found, ambiguous=True).accepted
 
 
-# --- what is mapped, and what it predicts -----------------------------------------------------------------------------
-
-
 def test_a_prediction_does_not_share_memory_with_what_it_is_made_of() -> None:
     points, covariance = np.ones((2, 2)), np.eye(4)
     prediction = Prediction.from_gaussian(points, covariance)
     points[:], covariance[:] = 7.0, 7.0
     assert (prediction.positions == 1).all()
     np.testing.assert_array_equal(prediction.joint(np.array([1, 0])), np.eye(4))
-
-
-def test_a_covariance_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"covariance: shape \(3, 3\), expected \(2, 2\)"):
-        Prediction.from_gaussian([[1, 2]], np.eye(3))
-
-
-def test_one_way_of_telling_covariances_is_asked_for() -> None:
-    with pytest.raises(ValueError, match="exactly one of the three"):
-        Landmarks.from_points([[1, 2]], sigma=0.1, covariance=np.eye(2))
 
 
 def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:

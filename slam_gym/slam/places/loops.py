@@ -13,8 +13,9 @@ Pairs whose features were seen together in one scan are not the same feature, an
 
 **Acceptance.** Buildings repeat themselves: a corridor may fit another one, or itself, a door further on. So the loop
 must have `RecognitionSpec.margin` pairs more than the largest set that shares no pair with it. Besides, fewer than
-`max_accidental_loops` sets of as many pairs are expected by chance (`association.acceptance`), and of the two parts the
-one with fewer features in the circle around its paired ones has at least `min_fraction` of them paired.
+`max_accidental_loops` sets of as many pairs that fit as well are expected by chance (`association.acceptance`), and of
+the two parts the one with fewer features in the circle around its paired ones has at least `min_fraction` of them
+paired.
 """
 
 from __future__ import annotations
@@ -91,11 +92,12 @@ def _spread(items: IntArray, count: int) -> IntArray:
 
 
 def _log_expected(m: StochasticMap, parts: Parts, pairs: IntArray, spec: RecognitionSpec) -> float:
-    """log of the expected number of accidental sets of as many pairs; the drift may be `inflation` times as large."""
+    """log of the expected number of accidental sets of as many pairs that fit as well; the drift may be `inflation`
+    times as large."""
     S = difference_covariance(m, pairs) + VARIANCE_FLOOR * np.eye(2 * len(pairs))
-    established = m.positions[~m.provisional]
+    established, nu = m.positions[~m.provisional], (m.positions[pairs[:, 1]] - m.positions[pairs[:, 0]]).ravel()
     inflated = 3.0 * math.log(spec.inflation)  # of √det S, in the three directions of the motion between the parts
-    return log_expected_pairs(S, len(parts.recent), established, spec.confidence) + inflated
+    return log_expected_pairs(nu, S, len(parts.recent), established, spec.confidence) + inflated
 
 
 @compiled

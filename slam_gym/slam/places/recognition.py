@@ -43,9 +43,9 @@ _FEW = 100  # features; each doubling beyond requires one more pair
 class RecognitionSpec:
     """Settings of place recognition: what is searched for while the robot is tracked, and when a match is accepted."""
 
-    every: int = 20  # [scans] between searches
+    every: int = 10  # [scans] between searches
     group: int = 20  # most features of the recent part: those seen last
-    recent: int = 60  # [scans] features seen in the last so many are recent, all others are older
+    recent: int = 30  # [scans] features seen in the last so many are recent, all others are older
     confidence: float = 0.999  # of the tests of pairs, shape and motion
     inflation: float = 3.0  # of the standard deviations of the motion between the two parts
     min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired

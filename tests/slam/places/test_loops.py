@@ -70,7 +70,7 @@ def test_a_part_that_is_not_rigid_is_found() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         older = field(rng, 40)
-        pairs = loop_in(*bent(rng, older, older[:14]))
+        pairs = find_loop(*bent(rng, older, older[:14]), replace(SPEC, recent=60))  # which take 42 scans
         found, right = found + len(pairs), right + int((pairs[:, 0] == pairs[:, 1] - 40).sum())
     assert right > 0.95 * found and found > 100
 
