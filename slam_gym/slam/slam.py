@@ -68,8 +68,9 @@ class Slam:
         spec: settings.
         view_from: tells associators and the tracker what the sensor should have in view from a pose.
         relocate: finds a lost robot (`slam_gym.slam.relocate.relocate_by`). A scan that pairs too few of the features
-            that should be in view is then doubted, and not learned from. After too many doubted scans in a row the
-            robot is lost, and every further scan searches for it. None: every scan is learned from.
+            that should be in view is then doubted, and not learned from, unless the wheels have slipped. After too many
+            doubted scans in a row the robot is lost, and every further scan searches for it. None: every scan is
+            learned from.
         atlas: closes loops, and starts and joins maps of a robot that stays lost (`slam_gym.slam.atlas`).
 
     Raises ValueError for an atlas without `relocate`.
@@ -276,8 +277,13 @@ class Slam:
     def _after_slip(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, tracker: Tracker
     ) -> tuple[Prediction, Hypothesis]:
-        """Associate again with `_SLIP` times the covariance of the last motion. Returns prediction and hypothesis of
-        wheels that have slipped if the scan confirms it, and otherwise the given ones."""
+        """Associate again by `marginal`, with `_SLIP` times the covariance of the last motion. Returns prediction and
+        hypothesis of wheels that have slipped if the scan confirms it, and otherwise the given ones.
+
+        Nothing has slipped where `marginal` can explain the scan with the given prediction: the associator failed.
+        """
+        if not tracker.suspects_slip(prediction, marginal(scan, prediction)):
+            return prediction, hypothesis
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()
         prediction_after = self._predict(Odometry(np.zeros(3), (_SLIP - 1.0) * Q), scan, self._most_accidental)
