@@ -2,9 +2,8 @@
 
 Each part begins with an empty map; the parts overlap, so their mean is not over independent logs. The simulated logs
 have the path, the circles and the scans of the batch solution with the true identities. Their errors are drawn with the
-covariances of the log; the true errors are larger than these say, and last for several steps. With `--slipping` logs,
-the wheels slip in one step of a hundred, with an error that is 30 times as large. Features mapped twice, precision and
-recall of every log, and their means.
+covariances of the log; the true errors are larger than these say, and last for several steps. Features mapped twice,
+precision and recall of every log, and their means.
 
     SLAM_GYM_DATA=... python benchmarks/parts.py --out parts.csv       # five minutes
 """
@@ -29,18 +28,15 @@ from slam_gym.slam.relocate import SEARCH
 PARTS = ((0, 3297), (0, 1650), (0, 2400), (300, 3297), (600, 3297), (900, 3297), (600, 2400), (1200, 3297),
          (1650, 3297), (300, 2000), (700, 2700))  # fmt: skip
 MEASURES = ["duplicates", "precision", "recall"]
-SLIP, SLIPS = 30.0, 0.01  # factor on the error of a step in which the wheels slip, and fraction of such steps
 
 
-def simulated(log: Recording, best: MappedLog, rng: np.random.Generator, slips: float = 0.0) -> Recording:
-    """A log with new errors, along the poses and past the features of the batch solution for it. The wheels slip in a
-    fraction `slips` of the steps."""
+def simulated(log: Recording, best: MappedLog, rng: np.random.Generator) -> Recording:
+    """A log with new errors, along the poses and past the features of the batch solution for it."""
     path, motions, points = best.poses, log.motions.copy(), log.points.copy()
     places = dict(zip(best.features["identity"], best.features[["x", "y"]].to_numpy()))
     for k in range(1, len(log)):
         error = rng.multivariate_normal(np.zeros(3), log.motion_covariances[k])
-        slip = SLIP if slips and rng.random() < slips else 1.0
-        motions[k] = relative(path[k - 1], path[k]) + slip * error
+        motions[k] = relative(path[k - 1], path[k]) + error
     steps = np.repeat(np.arange(len(log)), np.diff(log.starts))
     for i, (source, k) in enumerate(zip(log.sources.tolist(), steps.tolist())):
         if source >= 0:
@@ -49,27 +45,24 @@ def simulated(log: Recording, best: MappedLog, rng: np.random.Generator, slips: 
     return replace(log, motions=motions, points=points)
 
 
-def logs(whole: Recording, seed: int, count: int, slipping: int) -> Iterator[tuple[str, str, Recording]]:
-    """Kind, name and content of each log: the parts, then `count` simulated ones, then `slipping` with slip."""
+def logs(whole: Recording, seed: int, count: int) -> Iterator[tuple[str, str, Recording]]:
+    """Kind, name and content of each log: the parts, then `count` simulated ones."""
     for first, last in PARTS:
         yield "part", f"{first} to {last}", whole.part(first, last)
     best = smoothed(map_log(whole, CEILING, slam_for(whole)))
     assert best is not None
     for k in range(count):
         yield "simulated", f"seed {seed + k}", simulated(whole, best, np.random.default_rng(seed + k))
-    for k in range(slipping):
-        yield "slipping", f"seed {seed + k}", simulated(whole, best, np.random.default_rng(seed + k), SLIPS)
 
 
 def main() -> None:
-    a = options(__doc__, associators=("jcbb", "marginal"), simulated=16, slipping=0, out="")
+    a = options(__doc__, associators=("jcbb", "marginal"), simulated=16, out="")
     folder = data_folder()
     if folder is None:
         return
     whole = dlr(folder / "dlr")
     rows = []
-    all_logs = logs(whole, a.seed, a.simulated, a.slipping)
-    for kind, name, log in [("part", "0 to 60", whole.part(0, 60))] if a.quick else all_logs:
+    for kind, name, log in [("part", "0 to 60", whole.part(0, 60))] if a.quick else logs(whole, a.seed, a.simulated):
         for associator in a.associators:
             measures = associations(map_log(log, associator, slam_for(log), SEARCH))
             rows.append({"associator": associator, "kind": kind, "log": name} | {m: measures[m] for m in MEASURES})
