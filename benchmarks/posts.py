@@ -6,7 +6,7 @@ sensor that sees 12 m far and 90° to either side. The treatment of slip, and of
 developed on logs of this kind with other random numbers. Features mapped twice, precision, recall and the error of the
 aligned path for every kind of log, means over the seeds.
 
-    python benchmarks/posts.py       # four minutes
+    python benchmarks/posts.py       # two minutes
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MEASURES = ["duplicates", "precision", "recall", "ate"]
 
 
 @dataclass(frozen=True)
-class Kind:
+class Variation:
     """What is special about a log."""
 
     clutter: float = 0.3  # mean number of spurious measurements in a scan
@@ -47,10 +47,10 @@ class Kind:
     every: int = 1  # [steps] between scans
 
 
-KINDS = {
-    "nominal": Kind(), "clutter": Kind(clutter=5.0), "detection 0.6": Kind(detection=0.6),
-    "slip of 10 σ": Kind(slip=10.0), "slip of 30 σ": Kind(slip=30.0), "σ / 1.5": Kind(claimed=1.0 / 1.5),
-    "σ × 3": Kind(claimed=3.0), "every 10th scan": Kind(every=10),
+VARIATIONS = {
+    "nominal": Variation(), "clutter": Variation(clutter=5.0), "detection 0.6": Variation(detection=0.6),
+    "slip of 10 σ": Variation(slip=10.0), "slip of 30 σ": Variation(slip=30.0), "σ / 1.5": Variation(claimed=1.0 / 1.5),
+    "σ × 3": Variation(claimed=3.0), "every 10th scan": Variation(every=10),
 }  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def driven() -> Array:
     return np.array(poses)
 
 
-def simulated(kind: Kind, seed: int) -> Recording:
+def simulated(variation: Variation, seed: int) -> Recording:
     """The log of a drive, with its landmarks and true poses."""
     rng, poses, posts = np.random.default_rng(seed), driven(), np.empty((0, 2))
     while len(posts) < POSTS:
@@ -79,19 +79,19 @@ def simulated(kind: Kind, seed: int) -> Recording:
         if k:
             motions[k] = relative(poses[k - 1], pose)
             sigmas = np.array([0.0075, 0.00375, 0.002 + 0.02 * abs(motions[k, 2])])
-            slip = kind.slip if rng.random() < SLIPS else 1.0
+            slip = variation.slip if rng.random() < SLIPS else 1.0
             motions[k] += slip * sigmas * rng.standard_normal(3)
             covariances[k] = np.diag(sigmas**2)
         x, y = observe(pose, posts).T
-        seen = np.flatnonzero((np.hypot(x, y) < RANGE) & (x > 0.0) & (rng.random(POSTS) < kind.detection))
-        count = rng.poisson(kind.clutter)
+        seen = np.flatnonzero((np.hypot(x, y) < RANGE) & (x > 0.0) & (rng.random(POSTS) < variation.detection))
+        count = rng.poisson(variation.clutter)
         r = np.hypot(x, y)[seen] + RANGE_SIGMA * rng.standard_normal(len(seen))
         beta = np.arctan2(y, x)[seen] + BEARING_SIGMA * rng.standard_normal(len(seen))
         ranges.append(np.concatenate([np.maximum(r, 0.1), RANGE * np.sqrt(rng.uniform(0.01, 1.0, count))]))
         bearings.append(np.concatenate([[wrap_angle(b) for b in beta], rng.uniform(-1.5, 1.5, count)]))
         sources.append(np.concatenate([seen, np.full(count, SPURIOUS)]))
     starts = np.concatenate([[0], np.cumsum([len(rows) for rows in sources])])
-    claimed, times = (kind.claimed * RANGE_SIGMA, kind.claimed * BEARING_SIGMA), np.arange(len(poses))
+    claimed, times = (variation.claimed * RANGE_SIGMA, variation.claimed * BEARING_SIGMA), np.arange(len(poses))
     scans = Scan.from_polar(np.concatenate(ranges), np.concatenate(bearings), *claimed)
     log = Recording(
         name="posts", source="simulated", terms="", times=0.25 * times, motions=motions, motion_covariances=covariances,
@@ -99,15 +99,15 @@ def simulated(kind: Kind, seed: int) -> Recording:
         sources=np.concatenate(sources).astype(np.int64), reference_times=0.25 * times, reference_poses=poses,
         landmark_ids=np.arange(POSTS), landmarks=posts, range=RANGE, field_of_view=math.pi,
     )  # fmt: skip
-    return log.every(kind.every)
+    return log.every(variation.every)
 
 
 def main() -> None:
     a = options(__doc__, associators=("jcbb", "marginal"), seeds=4)
     rows = []
-    for (name, kind), seed in product(KINDS.items(), range(a.seed, a.seed + (1 if a.quick else a.seeds))):
-        log = simulated(kind, seed)
-        log = log.part(0, 40 // kind.every) if a.quick else log
+    for (name, variation), seed in product(VARIATIONS.items(), range(a.seed, a.seed + (1 if a.quick else a.seeds))):
+        log = simulated(variation, seed)
+        log = log.part(0, 40 // variation.every) if a.quick else log
         for associator in a.associators:
             mapped = map_log(log, associator, slam_for(log), SEARCH)
             compared, measures = compare(log, mapped.poses), associations(mapped)
