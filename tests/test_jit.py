@@ -10,7 +10,7 @@ import pytest
 
 STEP = """
 import numpy as np
-from slam_gym.mapping import linear_algebra
+from slam_gym.mapping import ekf, linear_algebra
 linear_algebra.subtract_squares(np.eye(16), np.zeros((2, 16)))
 print(linear_algebra.cholesky(4.0 * np.eye(3)))
 """
@@ -45,6 +45,8 @@ def test_what_is_compiled_is_told(compiled: tuple[Path, str]) -> None:
 def test_what_is_cached_is_not_told_nor_is_what_others_compile(cache: Path) -> None:
     own = "import numba\n@numba.njit\ndef twice(x):\n    return 2 * x\n"
     assert run(own + STEP + "print(twice(2))", cache) == ("True\n4\n", "")
+    told = run(STEP + "ekf.predict(np.zeros(8), np.eye(8), 3, np.zeros(3), np.eye(3))", cache)[1]
+    assert "compiles its inner loops" in told and ", predict" in told  # only some of what is needed is cached
 
 
 @pytest.mark.parametrize(

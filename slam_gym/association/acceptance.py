@@ -68,7 +68,7 @@ from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
 EXPLAINED = 0.7  # fraction of a scan above which no further pairing is required
-_NEIGHBOURS_OF = 100  # number of features whose nearest neighbours are looked up
+_SPACED = 100  # number of features that are sampled for the distance to the nearest neighbour
 _SAMPLE = 1000  # number of landmarks sampled for their errors and for the unary constraints
 _NARROWEST = 1e-3  # [m] minimum extent of a scan
 
@@ -270,7 +270,7 @@ def _others_in_gates(positions: Array, squared_radii: Array) -> Array:
     with the same median distance to the nearest neighbour, d: n_i = ln 2 (r / d)².
     """
     tree, n = cKDTree(positions), len(positions)
-    sample = positions[:: max(n // _NEIGHBOURS_OF, 1)]
+    sample = positions[:: max(n // _SPACED, 1)]
     nearest = float(np.median(tree.query(sample, k=2)[0][:, 1]))
     poisson = math.log(2.0) * squared_radii / nearest**2 if 0.0 < nearest < math.inf else math.inf
     counted = tree.count_neighbors(tree, np.sqrt(squared_radii)) / n - 1.0

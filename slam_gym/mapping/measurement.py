@@ -92,7 +92,7 @@ def foresee(
     Returns the number of rows k. Raises ValueError, before the robot moves, as `check_scan` and `ekf.predict`.
     """
     (x, P, counted, sized), (n, step), (motion, Q) = arrays, counts, odometry
-    (reach, second_order, gate, most, apart), (neighbours, degrees, recent), k = rule, locality, 0
+    (reach, second_order, gate, most, no_duplicates), (neighbours, degrees, recent), k = rule, locality, 0
     check_measurements(scan[0], scan[1])
     if len(motion) > 0:
         ekf.predict(x, P, 3 + 2 * n, motion, Q)
@@ -127,7 +127,7 @@ def foresee(
         k += 1
     if most == math.inf:
         return k
-    return keep_unambiguous(out, k, (x, P), k * gate / (reach * reach), most, gate if apart else 0.0)
+    return keep_unambiguous(out, k, (x, P), k * gate / (reach * reach), most, gate if no_duplicates else 0.0)
 
 
 @compiled

@@ -85,7 +85,7 @@ class Tracker:
         """
         if not prediction.has_view:
             self.look(scan.points)
-        if self._has_enough(prediction, hypothesis):
+        if self._is_believable(prediction, hypothesis):
             self.accept(hypothesis)
             return True
         self.doubted += 1
@@ -97,7 +97,7 @@ class Tracker:
         if self.lost or prediction.has_view or len(hypothesis.features) < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
-        return not fits or not self._has_enough(prediction, hypothesis)
+        return not fits or not self._is_believable(prediction, hypothesis)
 
     def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
         """Whether the hypothesis `after`, for a `prediction` with slip, pairs half of the scan and no less than the one
@@ -126,7 +126,8 @@ class Tracker:
         """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
         self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
 
-    def _has_enough(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+    def _is_believable(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Whether the hypothesis pairs enough, by the rules of this class."""
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
         measured = len(hypothesis.features)
         explained = pairings >= max(_BELIEVED, self.fraction) * measured

@@ -55,11 +55,12 @@ def play_with():
 
 def test_held_keys_drive_the_robot(play_with):
     controls = Script(
-        (1, [(DOWN, pygame.K_UP)]), (3, [(DOWN, pygame.K_a)]), (5, [(UP, pygame.K_UP)]), (7, [(UP, pygame.K_a)])
-    )
-    wish, _, env = play_with(controls, 8)
+        (1, [(DOWN, pygame.K_UP)]), (3, [(DOWN, pygame.K_a)]), (5, [(UP, pygame.K_UP)]), (7, [(UP, pygame.K_a)]),
+        (8, [(DOWN, pygame.K_r)]),
+    )  # fmt: skip
+    wish, _, env = play_with(controls, 50)
     expected = [[0, 0], [1, 0], [1, 0], [1, 1], [1, 1], [0, 1], [0, 1], [0, 0]]
-    assert wish == "quit"
+    assert wish == "again"
     np.testing.assert_array_equal(controls.actions, expected)
     assert np.hypot(*env.unwrapped.episode.slam.map.pose[:2]) > 0.05
 
@@ -100,20 +101,16 @@ def test_an_agent_is_watched():
 # -- what a player has at hand -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def window():
-    window = Window("slam_gym", 1000.0)
-    show(window, np.zeros((60, 300, 3), np.uint8), ["first", "last"])
-    yield window
-    window.close()
-
-
 def post(kind, **fields):
     pygame.event.post(pygame.event.Event(kind, **fields))
 
 
-@pytest.mark.usefixtures("window")
-def test_keys_drive_and_ask():
+def test_keys_drive_and_ask_and_the_picture_has_lines_below_it():
+    window = Window("slam_gym", 1000.0)
+    show(window, np.full((60, 300, 3), 200, np.uint8), ["tick 3 of 10", "keys"])
+    shown = pygame.surfarray.array3d(pygame.display.get_surface())
+    assert shown.shape[0] == 300 and shown.shape[1] > 60 + 2 * 13
+    assert (shown[:, :60] == 200).all() and shown[:, 70:].max() > 150 > shown[:, 70:].min()
     controls = Controls()
     post(pygame.KEYDOWN, key=pygame.K_w)
     assert controls.poll() is None
@@ -129,6 +126,7 @@ def test_keys_drive_and_ask():
     assert controls.poll() == "quit"
     controls.reset(0)
     np.testing.assert_array_equal(controls.act({}, {}), [0.0, 0.0])
+    window.close()
 
 
 def test_a_search_finds_nothing_while_it_is_off():

@@ -308,7 +308,7 @@ def test_pictures_show_what_happens_and_change_nothing(case) -> None:
 
 @every_environment
 def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None:
-    pytest.importorskip("pygame")
+    pygame = pytest.importorskip("pygame")
     from slam_gym.rendering.canvas import Window
 
     shown, show = [], Window.show
@@ -319,9 +319,10 @@ def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None
     env.step(env.action_space.sample(env.action_masks().astype(np.int8)))
     assert len(shown) >= 2
     for _ in range(2):
-        assert env.render() is None
+        assert env.render() is None and pygame.display.get_surface().get_size() == shown[-1].get_size()
         env.close()
         env.close()
+        assert not pygame.display.get_init()
     count = len(shown)
     copy.deepcopy(env)
     assert len(shown) == count, "a replay shows nothing"
