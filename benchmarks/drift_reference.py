@@ -105,9 +105,10 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
         for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
             now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
-            gap = bootstrap_interval(now - before, np.random.default_rng(0), statistic=mean)
+            both = (now - before)[np.isfinite(now - before)]  # without drives that have no batch solution
+            gap = bootstrap_interval(both, np.random.default_rng(0), statistic=mean)
             row[name] = f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
-            row["equal"] = row.get("equal", True) & (now == before)
+            row["equal"] = row.get("equal", True) & np.isclose(now, before, rtol=0.0, atol=0.0, equal_nan=True)
         row["equal"] = int(row["equal"].sum())
         rows.append(row)
     return pd.DataFrame(rows)
