@@ -13,10 +13,9 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, Literal, NoReturn, TypeVar
 
 import typer
 from typer.main import get_command
@@ -32,7 +31,7 @@ COMMANDS: dict[str, str] = {
     "demo": "One drive on bad wheels, mapped by two associators: a picture.",
     "slam": "SLAM on your own log: map, path, picture.",
     "evaluate": "Drivers on the same test worlds: table, report, films.",
-    "evaluate-association": "Associators in closed loop, over the suite, or on logs.",
+    "evaluate-association": "Associators in the same test worlds, over the suite, or on logs.",
     "train": "A driver or an associator by reinforcement learning.",
     "record-decisions": "An associator's decisions, as a Minari data set.",
     "leaderboard": "Run an entry through the frozen protocol, and rank it.",
@@ -43,14 +42,8 @@ COMMANDS: dict[str, str] = {
 """The commands of `agents` and their summaries. Each is the `app` of the module of that name."""
 
 
-class Topic(StrEnum):
-    """Topics of `slam-gym list`."""
-
-    SCENARIOS = "scenarios"
-    ASSOCIATORS = "associators"
-    RELOCATORS = "relocators"
-    DRIVERS = "drivers"
-    RECORDINGS = "recordings"
+Topic = Literal["scenarios", "associators", "relocators", "drivers", "recordings"]
+"""Topics of `slam-gym list`."""
 
 
 class _Commands(typer.core.TyperGroup):
@@ -91,14 +84,14 @@ def list_names(topic: Topic) -> None:
 
     _find_agents()
     drivers = importlib.import_module("agents.drivers.base").AGENTS
-    names: dict[str, Iterable[str]] = {
+    names: dict[Topic, Iterable[str]] = {
         "associators": ASSOCIATORS,
         "relocators": RELOCATORS,
         "scenarios": SCENARIOS,
         "recordings": PUBLISHED,
+        "drivers": [f"{name}  (with --model FILE)" if name == "ppo" else name for name in drivers],
     }
-    names["drivers"] = drivers
-    print("\n".join(names[topic.value]))
+    print("\n".join(names[topic]))
 
 
 @app.command(epilog="Example: slam-gym doctor")
@@ -150,7 +143,8 @@ def _cache() -> Iterator[str]:
     size = sum(file.stat().st_size for file in files) / 1e6  # [MB]
     state = f"{len(files)} compiled functions, {size:.0f} MB" if files else "empty: the first step ever compiles"
     state += "; delete the folder to free it, it is made again" if size > _MUCH else ""
-    writable = "" if os.access(folder if folder.is_dir() else folder.parent, os.W_OK) else ", not writable"
+    existing = next(path for path in (folder, *folder.parents) if path.is_dir())
+    writable = "" if os.access(existing, os.W_OK) else ", not writable"
     yield f"compiled loops: {folder} ({state}{writable})"
 
 
@@ -178,7 +172,7 @@ def ended(command: Callable[[], Result]) -> Result:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "slam_gym", "agents"):
             raise
-        extra = "learn" if missing in _LEARNING else "agents"
+        extra = "learn" if missing in _LEARNING else "minari" if missing == "minari" else "agents"
         _end(f"{missing} is missing: pip install 'slam_gym[{extra}]'")
     except BrokenProcessPool:
         _end("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from slam_gym.association.policy import from_policy, greedy, relocator_from_policy
@@ -25,7 +26,7 @@ from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
-from slam_gym.association.tracking.ppo import ppo
+from slam_gym.association.tracking.ppo import ppo, walk_by
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
 from slam_gym.types import Hypothesis, Relocator, Scan
@@ -82,10 +83,14 @@ RELOCATORS: dict[str, Relocator] = {
 
 
 def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
-    """The associator given by name, as `"module:name"`, or as a function.
+    """The associator given by name, as `"module:name"`, as a file of trained weights (`.npz`), or as a function.
 
-    Raises ValueError, listing the known names, where there is no such associator.
+    Raises ValueError, listing the known names, where there is no such associator or file.
     """
+    if isinstance(associator, str) and associator.endswith(".npz"):
+        if not Path(associator).is_file():
+            raise ValueError(f"associator {associator}: there is no such file")
+        return walk_by(associator)
     resolved: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
     built_in = isinstance(resolved, _ReadOnlyScan) or any(resolved is known for known in ASSOCIATORS.values())
     return resolved if built_in else _ReadOnlyScan(resolved)
@@ -93,12 +98,16 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
 
 @dataclass(frozen=True, slots=True)
 class _ReadOnlyScan:
-    """A user's associator, called with a scan whose arrays are read-only."""
+    """A user's associator, called with a scan whose arrays are read-only. Raises ValueError for another result than a
+    Hypothesis."""
 
     associate: Associator
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        return self.associate(scan.read_only(), prediction)
+        hypothesis = self.associate(scan.read_only(), prediction)
+        if not isinstance(hypothesis, Hypothesis):
+            raise ValueError(f"associator {self.associate!r}: returned {type(hypothesis).__name__}, not a Hypothesis")
+        return hypothesis
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:

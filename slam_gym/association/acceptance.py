@@ -90,7 +90,7 @@ def min_pairings(
     probability: float = 0.02,
     crowding: Crowding | None = None,
 ) -> int:
-    """The least k ≥ 3, at most m + 1, for which fewer than `probability` accidental hypotheses are expected.
+    """The least k ≥ 3, at most max(m + 1, 3), for which fewer than `probability` accidental hypotheses are expected.
 
     One more is required where k pairings explain less than `EXPLAINED` of the scan: see the head of this file.
     `crowding` is that of the map for the extent of the scan, if already known. Raises ValueError as `scan_arrays` and
@@ -217,7 +217,8 @@ def are_accidental(scan: Scan, prediction: Prediction, features: IntArray, max_p
     They are rejected where more than `max_probability` accidental hypotheses of as many pairings are expected.
     """
     old = np.isin(features, prediction.features[~prediction.near])
-    if old.any() and log_expected_old(scan, prediction, features, old) <= math.log(max_probability):
+    possible = old.any() and max_probability > 0.0
+    if possible and log_expected_old(scan, prediction, features, old) <= math.log(max_probability):
         old[:] = False
     return old
 

@@ -103,8 +103,8 @@ def visibility(expected: Expected, positions: Array, covariances: Array) -> Arra
 class Prediction:
     """What the stochastic map expects to measure from the predicted pose: the k features in reach, one per row.
 
-    Its arrays are read-only. `joint`, `local` and `visibility` read the map, and so are valid until the map next
-    changes.
+    Its arrays are read-only. `joint`, `local` and `visibility` read the map: they, and associators, may use a
+    prediction until the map next changes.
     """
 
     rows: RowArrays
@@ -117,7 +117,8 @@ class Prediction:
 
     @property
     def arrays(self) -> PredictionArrays:
-        """The arrays for compiled functions; do not write to them."""
+        """The arrays for compiled functions; do not write to them. Raises RuntimeError once the map has changed."""
+        self.check()
         return self.rows, self.source, self.size
 
     @property
@@ -208,15 +209,23 @@ class Prediction:
     def __repr__(self) -> str:
         return f"Prediction of {len(self)} features at confidence {self.confidence}"
 
-    def joint(self, rows: IntArray) -> Array:
-        """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,). Raises RuntimeError once the map has changed."""
+    def check(self) -> None:
+        """Raise RuntimeError if the map has changed since this prediction was made."""
         if not self.estimate.stands:
             raise RuntimeError("the map has changed since this prediction was made")
+
+    def joint(self, rows: IntArray) -> Array:
+        """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,). Raises RuntimeError once the map has changed."""
+        self.check()
         _, state, covariance, *_ = self.source
         return joint_covariance(state, covariance, self.features[rows], self.size[2])
 
     def local(self, rows: IntArray) -> BoolArray:
-        """(j, j) which of the features at `rows` (j,) are local to each other; symmetric, true on its diagonal."""
+        """(j, j) which of the features at `rows` (j,) are local to each other; symmetric, true on its diagonal.
+
+        Raises RuntimeError once the map has changed.
+        """
+        self.check()
         if not self.has_localities:
             return np.ones((len(rows), len(rows)), np.bool_)
         _, _, _, neighbours, degrees, *_ = self.source

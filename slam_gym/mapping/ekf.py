@@ -123,7 +123,8 @@ def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i:
     P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + ryy
     counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kinds[i]
     counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
-    sized[SIZES, n], sized[VARIANCES, n] = sizes[i], variances[i]
+    known = math.isfinite(sizes[i]) and 0.0 < variances[i] < math.inf
+    sized[SIZES, n], sized[VARIANCES, n] = sizes[i] if known else math.nan, variances[i] if known else math.nan
 
 
 @compiled
@@ -157,8 +158,8 @@ def keep(arrays: MapArrays, kept: IntArray) -> None:
 def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -> None:
     """Count this step once for each of `features` (m,), and learn their sizes and kinds from the measurements.
 
-    A scalar Kalman filter updates a size: the first measured size replaces an unknown one (NaN), and a measured size of
-    NaN is ignored. The kind is the last that was reported.
+    A scalar Kalman filter updates a size: the first measured size replaces an unknown one (NaN), and a measured size
+    that is NaN, or whose variance is not positive and finite, is ignored. The kind is the last that was reported.
     """
     (_, _, counted, sized), (_, _, measured_sizes, measured_variances, measured_kinds) = arrays, scan
     seen, last_seen, kinds = counted[SEEN], counted[LAST_SEEN], counted[KINDS]
@@ -173,7 +174,7 @@ def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -
         if measured_kinds[i] != UNKNOWN_KIND:
             kinds[f] = measured_kinds[i]
         z, r = measured_sizes[i], measured_variances[i]
-        if not (math.isfinite(z) and r > 0.0):
+        if not (math.isfinite(z) and 0.0 < r < math.inf):
             continue
         if math.isfinite(sizes[f]):
             gain = variances[f] / (variances[f] + r)

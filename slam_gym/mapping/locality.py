@@ -1,8 +1,9 @@
-"""Which features of a map are local to each other, by the three definitions of the source, as compressed rows.
+"""Which features of a map are local to each other, as compressed rows: the three definitions of Neira, Tardós and
+Castellanos (2003).
 
 A search without a prior on the pose takes the features for its later pairings from the locality of the first paired
-feature, so that its effort is linear in the size of the map (Neira, Tardós and Castellanos 2003). Every `Locality` here
-is symmetric and reflexive. None means that all features are local to each other, and the search is complete.
+feature, so that its effort is linear in the size of the map. Every `Locality` here is symmetric and reflexive. None
+means that all features are local to each other, and the search is complete.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from slam_gym.types import Array, IntArray, Locality
 def covisible(graph: CovisibilityGraph, hops: int = 1) -> Locality:
     """The locality of features seen together in a scan, or linked by up to `hops` such pairs.
 
-    One hop is the source's choice. It misses pairs that lie side by side but were never seen in one scan; two hops find
+    One hop is their choice. It misses pairs that lie side by side but were never seen in one scan; two hops find
     pairs that were both seen with a third feature, but make localities several times as large. Raises ValueError for
     fewer than one hop.
     """

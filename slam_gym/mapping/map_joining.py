@@ -134,8 +134,8 @@ def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tup
 def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
     """Fuse the features pairs[i, 0] and pairs[i, 1], (k, 2), and return the new map, which keeps the first of each.
 
-    An equality update, after which the second features are deleted; the first take over their sightings, sizes and
-    kinds. Raises ValueError where a feature does not exist or would be deleted twice, or where S is singular.
+    An equality update, after which the second features are deleted; the first take over their sightings, sizes, kinds
+    and older ids. Raises ValueError where a feature does not exist or would be deleted twice, or where S is singular.
     """
     pairs = np.ascontiguousarray(pairs, dtype=np.int64).reshape(-1, 2)
     kept, dropped = pairs[:, 0], pairs[:, 1]
@@ -154,12 +154,14 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
 def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray) -> None:
     """Merge the sightings, size and kind of feature dropped[i] into feature kept[i], both (k,); nothing is deleted.
 
-    Sightings add up, sizes are averaged by their variances, and a known kind replaces an unknown one. `counted` and
-    `sized` are those of `MapState`, changed in place.
+    The older id stays, sightings add up, sizes are averaged by their variances, and a known kind replaces an unknown
+    one. `counted` and `sized` are those of `MapState`, changed in place.
     """
-    seen, first_seen, last_seen, kinds = (counted[row] for row in (ekf.SEEN, ekf.FIRST_SEEN, ekf.LAST_SEEN, ekf.KINDS))
+    rows = ekf.IDS, ekf.SEEN, ekf.FIRST_SEEN, ekf.LAST_SEEN, ekf.KINDS
+    ids, seen, first_seen, last_seen, kinds = (counted[row] for row in rows)
     sizes, variances = sized
     for a, b in zip(kept.tolist(), dropped.tolist()):
+        ids[a] = min(ids[a], ids[b])
         seen[a] += seen[b]
         first_seen[a] = min(first_seen[a], first_seen[b])
         last_seen[a] = max(last_seen[a], last_seen[b])

@@ -35,7 +35,7 @@ RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
 covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are filled in."""
 
-Locality = tuple[IntArray, IntArray, IntArray]
+LocalityArrays = tuple[IntArray, IntArray, IntArray]
 """Neighbours and degrees of the covisibility graph, empty where all features are near; (r,) features that recent scans
 paired, or UNPAIRED."""
 
@@ -73,7 +73,7 @@ def foresee(
     odometry: tuple[Array, Array],
     scan: tuple[Array, Array],
     rule: Rule,
-    locality: Locality,
+    locality: LocalityArrays,
     pose: Array,
     out: RowArrays,
 ) -> int:
@@ -127,7 +127,8 @@ def foresee(
         k += 1
     if most == math.inf:
         return k
-    return keep_unambiguous(out, k, (x, P), k * gate / (reach * reach), most, gate if no_duplicates else 0.0)
+    per_area = k * gate / (reach * reach) if k > 0 else 0.0
+    return keep_unambiguous(out, k, (x, P), per_area, most, gate if no_duplicates else 0.0)
 
 
 @compiled

@@ -66,7 +66,10 @@ class MapState:
 
 
 class StochasticMap:
-    """EKF-SLAM over point features. A SLAM step calls predict, prediction, update, add and end_of_step, in this order.
+    """EKF-SLAM over point features.
+
+    A SLAM step moves the robot and predicts the scan (`association.prediction.predict`), then calls `update`, `add`,
+    `remove` and `end_of_step`. `Slam` does the middle part in one compiled call, `slam.step.learn`.
 
     Arguments:
         spec: settings.
@@ -305,7 +308,8 @@ class StochasticMap:
     def save(self, path: str | Path) -> None:
         """Write the contents of the map and its settings into an .npz file."""
         parts = {field.name: getattr(self.state, field.name) for field in fields(MapState)}
-        np.savez_compressed(path, spec=json.dumps(asdict(self.spec)), **parts)
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)
 
     @classmethod
     def load(cls, path: str | Path) -> StochasticMap:

@@ -111,11 +111,16 @@ class Identities:
     def judge(self, step: SlamStep, truth: Truth) -> None:
         """Judge the decisions of one step, then register the features that it created and removed.
 
+        Those that are left behind when another map begins are not in the map against which its first scan is judged.
         Raises ValueError where step and truth have different numbers of measurements.
         """
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
-        self.decisions = np.empty(len(step.ids), np.int64)
+        self.decisions, removed = np.empty(len(step.ids), np.int64), step.removed
+        if step.prediction.size[1] == 0:
+            left_behind = removed[~np.isin(removed, step.ids)]
+            self._remove(left_behind)
+            removed = np.setdiff1d(removed, left_behind)
         started = _judge(
             step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions,
             self._counts,
@@ -126,9 +131,7 @@ class Identities:
         if len(step.returned):
             for feature in step.returned.tolist():
                 self._add(feature, self._source.item(feature))
-        if len(step.removed):
-            for feature in step.removed.tolist():
-                self._remove(feature)
+        self._remove(removed)
 
     def _add(self, feature: int, source: int) -> None:
         self._source = _grown(self._source, feature, UNLABELLED)
@@ -138,11 +141,12 @@ class Identities:
             self._oldest = _grown(self._oldest, source, NO_ID)
             self._oldest[source] = self._in_map[source][0]
 
-    def _remove(self, feature: int) -> None:
-        source = self._source.item(feature)
-        if source >= 0:
-            self._in_map[source].remove(feature)
-            self._oldest[source] = self._in_map[source][0] if self._in_map[source] else NO_ID
+    def _remove(self, features: IntArray) -> None:
+        for feature in features.tolist():
+            source = self._source.item(feature)
+            if source >= 0:
+                self._in_map[source].remove(feature)
+                self._oldest[source] = self._in_map[source][0] if self._in_map[source] else NO_ID
 
 
 def _grown(values: IntArray, index: int, fill: int) -> IntArray:

@@ -11,8 +11,6 @@ from scipy.optimize import minimize
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
-from slam_gym.mapping import ekf
-from slam_gym.mapping.ekf import MapArrays
 from slam_gym.metrics.point_assignment import Index, assign, indexed
 from slam_gym.types import UNPAIRED, Array, IntArray
 
@@ -122,25 +120,6 @@ def _assigned(points: Array, index: Index, pose: Array) -> Array:
             break
         pose = aligned
     return pose
-
-
-@compiled
-def error_and_coverage(
-    arrays: MapArrays,
-    n: int,
-    confirmations: int,
-    base: Array,
-    index: Index,
-    cells: NDArray[np.uint8],
-    places: IntArray,
-) -> tuple[float, float]:
-    """`error_of` the confirmed features of a map of n, whose base (3,) is in W, and `coverage` of `places`."""
-    (x, _, counted, _), confirmed, e = arrays, np.empty((n, 2)), 0
-    for j in range(n):
-        if counted[ekf.SEEN, j] >= confirmations:
-            confirmed[e, 0], confirmed[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
-            e += 1
-    return error_of(transform(base, confirmed[:e]), index), coverage(cells, places)
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:

@@ -84,6 +84,8 @@ class Keyframes:
         self._allowed = min(self._allowed + ALLOWANCE, MOST_REDRAWN)
         if len(fused):
             self._fuse(fused)
+            kept_as = dict(zip(fused[:, 1].tolist(), fused[:, 0].tolist()))
+            seen = np.array([kept_as.get(feature, feature) for feature in seen.tolist()], np.int64)
         if self._first and (surprised or len(fused) or self._unchecked == CHECK):
             corrected = self._follow(beams, m.ids, m.positions)
         if corrected or _are_apart(current, self._opened, SPACING, TURN):

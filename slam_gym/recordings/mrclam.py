@@ -62,7 +62,7 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
 
     Identities are subject numbers, 6 to 20. Barcodes of other robots, barcodes of no subject, and misread barcodes (a
     few in each set, up to 6 m from their position by Vicon) are spurious. The reference poses are those by Vicon.
-    Raises FileNotFoundError, or RecordingError that names file and line.
+    Raises FileNotFoundError, or RecordingError that names file and row, without counting comments.
     """
     if robot not in ROBOTS:
         raise ValueError(f"robot: {robot} is none of 1 … 5")

@@ -6,7 +6,7 @@ Every function draws into `ax`, by default a new one, and returns it. Lengths ar
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import count
+from itertools import count, cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -112,9 +112,9 @@ def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: A
         ax.plot(place[path], -len(path), "o", ms=11, mfc="white", mec=GREY if fits else RED, mew=0.8, zorder=6)
         name = "*" if path[-1] == UNPAIRED else str(tree.prediction.features[path[-1]])
         ax.text(place[path], -len(path), name, ha="center", va="center", fontsize=7, color=INK, zorder=7)
-    for k, ((name, path), colour) in enumerate(zip(paths.items(), (RED, GREEN, BLUE, YELLOW, INK))):
+    for k, ((name, path), colour) in enumerate(zip(paths.items(), cycle((RED, GREEN, BLUE, YELLOW, INK)))):
         for end in range(1, len(path) + 1):
-            line(path[:end], colour, 4.5 - 1.3 * k)  # thinner ones above thicker ones
+            line(path[:end], colour, max(4.5 - 1.3 * k, 0.8))  # thinner ones above thicker ones
         ax.plot([], [], color=colour, lw=2.5, label=name)
     levels = [f"$z_{{{i}}}$" for i in tree.candidates.measurements.tolist()]
     ax.set(xticks=[], xlabel="", ylabel="measurement", yticks=-1 - np.arange(tree.levels), yticklabels=levels)

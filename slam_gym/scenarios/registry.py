@@ -79,7 +79,7 @@ SCENARIOS: dict[str, Scenario] = {
             kidnapping=KidnappingSpec(),
         ),
         _drifting("drift-1", OfficeGenerator(), 1),  # odometry three to five times as bad as that of `office`
-        _drifting("drift-2", OfficeGenerator(), 2),  # seven to ten times as bad: nearest neighbour fails
+        _drifting("drift-2", OfficeGenerator(), 2),  # five to ten times as bad: nearest neighbour fails
         _drifting("drift-3", OfficeGenerator(), 3),  # ten to fifteen times as bad: σ of 8° in a fast turn of a tick
         _drifting("aliased-drift", AliasedGenerator(), 2),  # identical rooms, which odometry cannot distinguish
         _drifting(

@@ -199,13 +199,8 @@ class Episode:
     def _appraise(self) -> tuple[float, float]:
         """Map error and coverage, computed once per tick, since both rewards and info use them."""
         if self._appraised_at != self.ticks:
-            (m, *others), seen = self.slam.maps, (self._indexed, self._cells, self._places)
-            if others:
-                error = map_quality.error_of(self.landmarks, self._indexed)
-                self._appraised = error, map_quality.coverage(self._cells, self._places)
-            else:
-                appraise = map_quality.error_and_coverage
-                self._appraised = appraise(m.arrays, m.n, m.spec.confirmations, self.base, *seen)
+            error = map_quality.error_of(self.landmarks, self._indexed)
+            self._appraised = error, map_quality.coverage(self._cells, self._places)
             self._appraised_at = self.ticks
         return self._appraised
 

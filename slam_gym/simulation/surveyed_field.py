@@ -28,6 +28,7 @@ LANE, STATION = 12.0, 20.0  # [m] between lanes, at most; between nodes of the n
 ALONG, ACROSS, OWN = 0.15, 0.10, 0.05  # [m] σ from station to station, to the previous lane, of a feature itself
 RANGE_SIGMA, BEARING_SIGMA = 0.05, math.radians(0.25)  # [m, rad] of the sensor
 LOCAL_MAP = 50  # features after which a new local map begins
+_DRAWS = 10_000  # most random poses drawn for a scan
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,14 @@ class SurveyedField:
         return LOCALITIES[name](self)
 
     def scan_inside(self, m: int, spurious: int, rng: np.random.Generator) -> FieldScan:
-        """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map."""
-        seen = np.empty(0, np.int64)
+        """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map.
+
+        Raises ValueError where none of many random poses has so many features in view.
+        """
+        seen, draws = np.empty(0, np.int64), 0
         while len(seen) < m - spurious:
+            if (draws := draws + 1) > _DRAWS:
+                raise ValueError(f"m={m}: none of {_DRAWS} poses has {m - spurious} features in view")
             pose = np.array([*(self.side * rng.random(2)), rng.uniform(-math.pi, math.pi)])
             seen = features_in_view(self.features, pose, REACH, math.pi)
         seen = rng.permutation(seen)[: m - spurious]

@@ -60,7 +60,7 @@ from slam_gym.validation import check_settings
 class AtlasSpec:
     """Settings of an atlas."""
 
-    recognition: RecognitionSpec | None = field(default_factory=RecognitionSpec)  # None: no loop is looked for
+    recognition: RecognitionSpec = field(default_factory=RecognitionSpec)
     max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] between attempts to recognise an inactive map
@@ -83,7 +83,7 @@ class Atlas:
     Arguments:
         spec: settings.
         relocate: finds a scan in an inactive map.
-        max_chance_probability: of all pairings of a scan with old features being wrong, above which they are rejected.
+        max_chance_probability: as in `SlamSpec`.
         start_features_from_rejected: whether measurements whose pairing was rejected start features.
     """
 
@@ -93,9 +93,8 @@ class Atlas:
         self.spec = spec
         self.inactive: list[MappedArea] = []  # not joined yet, oldest first
         self.fusions: list[FusionRecord] = []
-        loops = spec.recognition is not None
-        self.max_accidental_matches = spec.max_accidental_matches if loops else math.inf
-        self.max_chance_probability = max_chance_probability if loops else 1.0
+        self.max_accidental_matches = spec.max_accidental_matches
+        self.max_chance_probability = max_chance_probability
         self.starts_from_rejected = start_features_from_rejected and self.max_chance_probability < 1.0
         self._relocate = relocate
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
@@ -130,7 +129,8 @@ class Atlas:
             believed = replace(hypothesis, new=None) if weighs_all else hypothesis
             return believed, StartRule.of(believed)
         features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
-        rows = np.where(features == UNPAIRED, UNPAIRED, np.searchsorted(prediction.features, features))
+        offered = np.isin(features, prediction.features)
+        rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
         distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
         remaining = replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
         if self.starts_from_rejected:
@@ -147,8 +147,7 @@ class Atlas:
 
     def next_map(self, m: StochasticMap, graph: CovisibilityGraph) -> StochasticMap:
         """An empty map to go on in. The map `m` becomes inactive, or is dropped if it is too small to be recognised."""
-        recognition = self.spec.recognition or RecognitionSpec()
-        if int((~m.provisional).sum()) >= recognition.min_pairs:
+        if int((~m.provisional).sum()) >= self.spec.recognition.min_pairs:
             self.inactive.append(MappedArea(m, graph))
         fresh = m.successor()
         fresh.place(m.pose, np.zeros((3, 3)))
@@ -171,7 +170,7 @@ class Atlas:
     def _fused(self, active: MappedArea, missed: bool) -> Iterator[Fusion]:
         """Yield the fusion that closes a loop, then the fusion of duplicates, as far as there are any."""
         spec, (m, graph) = self.spec.recognition, active
-        if spec is None or m.step % spec.every:
+        if m.step % spec.every:
             return
         pairs = find_loop(m, graph, spec)
         closed = fuse(m, graph, pairs) if len(pairs) else None
@@ -187,7 +186,7 @@ class Atlas:
 
     def _joined(self, active: MappedArea, step: SlamStep, scan: Scan, reach: float) -> Fusion | None:
         """The active map joined with an inactive one in which its recent part, or the scan, is recognised."""
-        spec = self.spec.recognition or RecognitionSpec()
+        spec = self.spec.recognition
         recent = recent_part(*active, spec)
         for position, older in enumerate(self.inactive):
             joined = join_recognised(older, active, recent, spec)

@@ -49,7 +49,9 @@ _NODE_LIMIT = 20_000  # nodes of each search
 
 
 class LocalMapSlam:
-    """A robot's local maps, and the step that updates the current one. It has the interface of `Slam`.
+    """A robot's local maps, and the step that updates the current one; with `predict`, `learn` and `step` as in `Slam`.
+
+    Local maps are independent: in each, the associator begins without the experience of the others.
 
     Arguments:
         spec: as for `Slam`, within each local map.

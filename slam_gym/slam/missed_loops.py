@@ -24,8 +24,8 @@ _OLD = 100  # [steps] since a feature was first seen
 class MissedLoops:
     """Counts old features that should be in view and others paired in their place, in every fifth scan learned from.
 
-    Old are established features that are neither paired in a recent scan nor local to one that was. Without a view or
-    localities the prediction does not tell, and no loop is noticed to be missed.
+    Old are established features, first seen more than 100 steps ago, that are neither paired in a recent scan nor local
+    to one that was. Without a view or localities the prediction does not tell, and no loop is noticed to be missed.
     """
 
     def __init__(self) -> None:

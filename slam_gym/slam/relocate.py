@@ -49,11 +49,12 @@ class Tracker:
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
 
-    Where the prediction does not tell what is in view, a scan that pairs anything is believed, unless most of many
-    expected features are missing: on new ground, where one scan pairs less than the one before, a doubt would keep the
-    map from learning the features that the next scans can be paired with. The sector of directions in which anything
-    was measured so far then stands for the view: a feature that the last scan paired and that a turn has put out of the
-    sector is not expected. A doubt lasts until a scan pairs something.
+    Where the prediction does not tell what is in view, a scan that pairs a confirmed feature is believed, unless most
+    of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt would
+    keep the map from learning the features that the next scans can be paired with. The sector of directions in which
+    anything was measured so far then stands for the view: a feature that the last scan paired and that a turn has put
+    out of the sector is not expected. A doubt lasts until a scan pairs something; a scan without measurements neither
+    ends it nor adds another.
 
     So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
     features that walls are known to hide.
@@ -83,6 +84,8 @@ class Tracker:
 
         Some pairings are accidental, so a lost robot needs twice the fraction, and twice the number, to be believed.
         """
+        if self.doubted and len(scan) == 0:
+            return False
         if not prediction.has_view:
             self.look(scan.points)
         if self._is_believable(prediction, hypothesis):

@@ -11,6 +11,7 @@ import numpy as np
 from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
+from slam_gym.geometry import compose_jacobians, inverse
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -51,10 +52,12 @@ class SlamSpec:
     new_confidence: float | None = None  # of the gate outside which a measurement is new; None: `map.confidence`
     locality: bool = True  # offer covisibility localities to the associator
     recent: int = 5  # [scans] whose pairings define the locality that is searched first
-    lost_fraction: float = 0.3  # a scan that pairs a smaller fraction of the features expected in view is doubted …
+    lost_fraction: float = 0.3  # a scan that pairs less of the features expected in view, and less than half of its
+    # measurements, is doubted …
     lost_scans: int = 5  # … and after so many doubted scans in a row the robot is lost
-    min_expected: int = 3  # with fewer features expected in view, no scan is doubted
-    max_chance_probability: float = 1.0  # of all pairings with old features being accidental; above, they are rejected
+    min_expected: int = 3  # fewest expected features, or measurements, from which a doubt can begin
+    max_chance_probability: float = 1.0  # expected number of accidental hypotheses with as many pairings, above which
+    # all pairings with old features are rejected; 1: never
     start_features_from_rejected: bool = False  # a measurement whose pairing was rejected starts a feature
 
     def __post_init__(self) -> None:
@@ -136,8 +139,11 @@ class Slam:
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Complete the step after association: the map learns from the scan if the tracker believes it.
 
-        Raises ValueError for a hypothesis that does not fit scan and map; only the motion has been predicted then.
+        Raises ValueError for a hypothesis that does not fit scan and map, and RuntimeError for a prediction that is not
+        the latest; only the motion has been predicted then.
         """
+        if prediction.estimate is not self.map.estimate:
+            raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
         if self.tracker is not None and self.tracker.suspects_slip(prediction, hypothesis):
             prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker)
@@ -286,7 +292,9 @@ class Slam:
             return prediction, hypothesis
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()
-        prediction_after = self._predict(Odometry(np.zeros(3), (_SLIP - 1.0) * Q), scan, self._most_accidental)
+        _, turned = compose_jacobians(inverse(self._odometry.motion), np.zeros(3))  # Q is in R before the motion
+        slipped = Odometry(np.zeros(3), (_SLIP - 1.0) * turned @ Q @ turned.T)
+        prediction_after = self._predict(slipped, scan, self._most_accidental)
         after = marginal(scan, prediction_after)
         if tracker.confirms_slip(hypothesis, prediction_after, after):
             tracker.slips += 1

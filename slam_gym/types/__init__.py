@@ -94,9 +94,11 @@ class Scan:
 
     @property
     def arrays(self) -> ScanArrays:
-        """The arrays for compiled functions, marked writeable as these are compiled for; they write to none of them."""
+        """The arrays in the layout for which loops are compiled: C-contiguous, and marked writeable. They write to none
+        of them; other layouts would compile everything again."""
         arrays = self.points, self.covariances, self.sizes, self.size_variances, self.kinds
-        return arrays if self.points.flags.writeable else tuple(map(compact, arrays))  # type: ignore[return-value]
+        fit = all(array.flags.carray for array in arrays)
+        return arrays if fit else tuple(map(compact, arrays))  # type: ignore[return-value]
 
     def read_only(self) -> Scan:
         """The same measurements in arrays that cannot be written to."""

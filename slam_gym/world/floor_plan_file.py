@@ -63,13 +63,14 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
     if not path.is_file():
         raise FileNotFoundError(f"no floor plan file at {path}")
     try:
-        if path.suffix == ".json":
+        suffix = path.suffix.lower()
+        if suffix == ".json":
             return _parse(path)
         if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz", ".yaml", ".yml")):
             raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
         from slam_gym.world.raster import from_raster  # needs OpenCV, an extra, and takes long to import
 
-        read = _read_ros_map if path.suffix in (".yaml", ".yml") else _read_labelled_image
+        read = _read_ros_map if suffix in (".yaml", ".yml") else _read_labelled_image
         return from_raster(**read(path, resolution))
     except FloorPlanError as error:
         raise FloorPlanError(error.field, error.reason, str(path)) from None
@@ -157,7 +158,8 @@ def _read_labelled_image(path: Path, resolution: float | None) -> dict[str, Any]
 def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
     """The same for a map_server file: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
     values = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
-    resolution, threshold, negate = (_number(key, values[key]) for key in ("resolution", "free_thresh", "negate"))
+    resolution, threshold = (_number(key, values[key]) for key in ("resolution", "free_thresh"))
+    negate = values["negate"] if isinstance(values["negate"], bool) else _number("negate", values["negate"])
     origin = values["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
         raise FloorPlanError("origin", f"{_short(origin)} is not [x, y, 0]")
@@ -192,7 +194,7 @@ def _read_image(path: Path) -> NDArray[Any]:
     """The pixels (h, w) of an image: uint8 from PGM and PNG, integers or bools from arrays."""
     image: Any
     try:
-        if path.name.endswith((".npy", ".npy.gz")):
+        if path.name.lower().endswith((".npy", ".npy.gz")):
             image = array_of(content_of(path, _MAX_ARRAY), "biuf", _MAX_ARRAY)
         else:
             import cv2

@@ -10,13 +10,15 @@ from slam_gym.metrics.association import Decision, Identities, Tally
 from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Effort, Hypothesis, Truth
 from tests.oracles.statistics import for_seeds
 
+SOMETHING = Prediction.from_gaussian([[1.0, 0.0]], np.eye(2))
+NOTHING = Prediction.from_gaussian([], np.empty((0, 0)))  # of an empty map
 
-def step(ids, created=None, removed=()):
+
+def step(ids, created=None, removed=(), prediction=SOMETHING):
     ids = np.array(ids, np.int64)
     created = np.zeros(len(ids), bool) if created is None else np.array(created, bool)
-    nothing = Prediction.from_gaussian([], np.empty((0, 0)))
     hypothesis = Hypothesis(np.full(len(ids), UNPAIRED), 0.0, 0, Effort())
-    return SlamStep(nothing, hypothesis, ids, created, np.array(removed, np.int64))
+    return SlamStep(prediction, hypothesis, ids, created, np.array(removed, np.int64))
 
 
 def truth(*sources):
@@ -84,6 +86,13 @@ def test_when_the_oldest_is_removed_its_duplicate_becomes_the_right_feature():
     gone = update(identities, step([NO_ID]), truth(7))
     assert (gone.tn, gone.fn, gone.not_in_map, gone.in_map) == (1, 0, 1, 0)
     assert identities.source_of(np.array([0, 1])).tolist() == [7, 7]  # still known after they have gone
+
+
+def test_the_first_scan_of_another_map_is_judged_against_the_empty_map():
+    identities = mapped(7, 8)
+    begun = update(identities, step([2, 3], [True, True], removed=[0, 1], prediction=NOTHING), truth(7, 8))
+    assert (begun.new_right, begun.new_wrong, begun.in_map) == (2, 0, 0)
+    assert update(identities, step([2, 3]), truth(7, 8)).tp == 2
 
 
 def random_run(rng, steps=250, features=12):

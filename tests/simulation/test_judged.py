@@ -47,7 +47,7 @@ def test_the_truth_is_told_to_its_associator_by_name_scan_after_scan() -> None:
 @pytest.mark.parametrize("associator", [true_association, "slam_gym.association:true_association"])
 def test_its_function_by_any_other_way_is_told_nothing(associator) -> None:
     judged = JudgedSlam(Slam(), associator)
-    with pytest.raises(TypeError, match="sources"):
+    with pytest.raises(ValueError, match="true sources"):
         judged.step(*LOG[0])
     assert judged.tally == Tally()
 

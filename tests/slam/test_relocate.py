@@ -66,13 +66,14 @@ def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pos
     assert not step.created.any() and slam.map.n == 2  # the second measurement fits feature 1, once relocated
 
 
-def test_wheels_that_slip_are_noticed_by_any_associator_and_the_robot_is_where_it_is() -> None:
-    """In one of eight steps of 0.5 m the wheels slip by 30 σ."""
+@pytest.mark.parametrize("turn", [0.02, 1.5])
+def test_wheels_that_slip_are_noticed_by_any_associator_and_the_robot_is_where_it_is(turn: float) -> None:
+    """In one of eight steps of 0.5 m the wheels slip by 30 σ, mostly ahead, before the robot turns [rad]."""
     for associator in ("nearest_neighbour", "jcbb", "marginal"):
         rng, posts = np.random.default_rng(0), np.random.default_rng(1).uniform(-4.0, 14.0, (60, 2))
         slam, pose = Slam(relocate=lambda *_: None), np.zeros(3)
         for step in range(24):
-            moved, sigmas = np.array([0.5, 0.0, 0.02]) * (step > 0), np.array([0.02, 0.02, 0.005])
+            moved, sigmas = np.array([0.5, 0.0, turn]) * (step > 0), np.array([0.03, 0.003, 0.002])
             pose = compose(pose, moved)
             slip = (30.0 if step % 8 == 4 else 1.0) * sigmas * rng.choice([-1.0, 1.0], 3)
             seen = observe(pose, posts)

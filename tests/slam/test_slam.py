@@ -117,6 +117,17 @@ def test_learning_from_a_bad_measurement_changes_nothing(new) -> None:
     np.testing.assert_array_equal(slam.map.seen, seen)
 
 
+def test_a_prediction_is_of_no_use_once_the_map_has_changed() -> None:
+    slam, scan = slam_of(), scan_of(SEEN)
+    slam.step(STILL, scan)
+    stale = slam.step(STILL, scan).prediction
+    for use in (lambda: jcbb(scan, stale), lambda: stale.local(np.arange(2)), lambda: stale.joint(np.arange(2))):
+        with pytest.raises(RuntimeError, match="map has changed"):
+            use()
+    with pytest.raises(RuntimeError, match="map has changed"):
+        slam.learn(scan, stale, Hypothesis(np.arange(2), 0.0, 4))
+
+
 def test_empty_scans_are_fine() -> None:
     slam = slam_of()
     for points in ([], [[1, 0]], [], [[1, 0]], []):

@@ -136,6 +136,8 @@ def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
     tracker = looking_ahead()
     assert not doubts(tracker, facing(AHEAD), paired(FEATURES))
     assert doubts(tracker, facing(AHEAD), paired(0)) and doubts(tracker, facing(-AHEAD), paired(0))
+    nothing = Hypothesis(np.empty(0, np.int64), 0.0, 0)  # of a scan without measurements
+    assert doubts(tracker, facing(AHEAD), nothing) and tracker.doubted == 2
     assert not doubts(tracker, facing(-AHEAD), paired(6))
 
 

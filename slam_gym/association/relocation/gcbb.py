@@ -33,7 +33,7 @@ def gcbb(
     that may beat the best is located, and accepted if D² < χ²_{2k−3}.
 
     With `rivals`, nodes that may equal the best are visited too. The hypothesis with most pairings and least D² is then
-    returned, and `ties` is the number of the others that imply another pose. Without, the search is that of the source:
+    returned, and `ties` is the number of the others that imply another pose. Without, the search is that of the paper:
     the first hypothesis with most pairings is returned, and ties are not counted.
 
     Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to

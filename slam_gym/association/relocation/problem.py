@@ -83,8 +83,10 @@ def searched(
     """The answer of a `search` that enters its hypotheses in a `Best`.
 
     No hypothesis with fewer than `min_pairings` is looked for; None: any, and the rule of `acceptance` judges the
-    answer. Raises ValueError as `problem_of`.
+    answer. Raises ValueError as `problem_of`, and for `min_pairings` below 2, which leave the pose undetermined.
     """
+    if min_pairings is not None and min_pairings < 2:
+        raise ValueError(f"min_pairings: {min_pairings} is less than 2")
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     best = nothing_found(len(scan), min_pairings)
     search(problem, best)

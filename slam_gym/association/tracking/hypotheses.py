@@ -14,8 +14,8 @@ probabilistic data association: the sum of the weights of the hypotheses that ma
 
 Where the robot is nearly lost, everything is compatible with everything. The work for a scan is therefore bounded: only
 the nearest candidates of each measurement are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS`
-and `MEMORY` allow. `effort.limit_hit` is set where a bound excluded anything. A measurement that lost candidates starts
-no feature.
+and `MEMORY` allow. `effort.limit_hit` is set where a bound may have excluded anything. A measurement that may have lost
+candidates starts no feature.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def _search(
     distance[0] = _distance(pairings, errors, path[: pairings.fixed], variance)
     best, least, best_path = -1, math.inf, path[:0].copy()
     trial, level, nodes = first.copy(), 0, 0
-    while level >= 0 and nodes < node_limit:
+    while level >= 0:
         bound = made[level] + later[level]
         hopeless = bound < best or (bound == best and distance[level] >= least)
         if level == levels or hopeless or trial[level] > first[level + 1]:
@@ -86,6 +86,8 @@ def _search(
             trial[level] = first[level]
             level -= 1
             continue
+        if nodes == node_limit:
+            break
         c, p = trial[level], made[level]
         trial[level] += 1
         nodes += 1

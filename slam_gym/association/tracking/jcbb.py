@@ -93,7 +93,7 @@ class _Stack(NamedTuple):
     features: IntArray  # (P + 1,) number of their features
     distance: Array  # (P + 1,) D²_H
     floor: Array  # (P + 1,) lower bound of D² of a hypothesis with a pairing in each of those levels
-    stamps: IntArray  # (u + 1,) number of the last count that met each feature; at the end, of the last count
+    stamps: IntArray  # (u + 1,) number of the last count that met each feature; at the end, that of the latest count
 
 
 @compiled

@@ -72,33 +72,23 @@ class Example(NamedTuple):
 def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
     """The search of each narrow heading. Raises ValueError as `individual`."""
     prior, limits = prior_of(prediction.experience), limits_of(scan, prediction, width, margin)
-    out: list[Example] = []
-    count = 1
-    while len(out) < count:
-        example, count = _example(scan.arrays, prediction.arrays, prior, limits, len(out))
-        out.append(example)
-    return out
+    return _examples(scan.arrays, prediction.arrays, prior, limits)
 
 
 @compiled
-def _example(
-    scan: ScanArrays,
-    prediction: PredictionArrays,
-    prior_arrays: PriorArrays,
-    limit_fields: LimitFields,
-    number: int,
-) -> tuple[Example, int]:
-    """The example of one narrow heading, by its number, and how many headings there are."""
+def _examples(
+    scan: ScanArrays, prediction: PredictionArrays, prior_arrays: PriorArrays, limit_fields: LimitFields
+) -> list[Example]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     prior, limits = Prior(*prior_arrays), Limits(*limit_fields)
     m, area = len(scan[0]), scan_area(scan[0])
-    headings = headings_of(scan, expected, prior, area, limits, True)
-    heading = headings[number]
-    problem = problem_of(heading, scan, expected, limits.gate)
-    inputs = inputs_of(scan, problem, expected, prior.run)
-    search = HeadingSearch(problem, heading.candidates.tests, np.empty(0), limits.margin)
-    kept = search_all([search], m, expected, prior, limits, prices_of(prior, area, m))
-    scores = weighed(kept, prior.detections, len(expected.features)).scores
-    candidates = heading.candidates
-    rows = candidates.rows[candidates.slots]
-    return Example(inputs, candidates.measured, rows, kept.rows, scores), len(headings)
+    prices = prices_of(prior, area, m)
+    out: list[Example] = []
+    for heading in headings_of(scan, expected, prior, area, limits, True):
+        candidates, problem = heading.candidates, problem_of(heading, scan, expected, limits.gate)
+        search = HeadingSearch(problem, candidates.tests, np.empty(0), limits.margin)
+        kept = search_all([search], m, expected, prior, limits, prices)
+        scores = weighed(kept, prior.detections, len(expected.features)).scores
+        inputs, rows = inputs_of(scan, problem, expected, prior.run), candidates.rows[candidates.slots]
+        out.append(Example(inputs, candidates.measured, rows, kept.rows, scores))
+    return out

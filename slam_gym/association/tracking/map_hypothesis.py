@@ -30,7 +30,7 @@ from slam_gym.association.tracking.hypotheses import (
     weighed_by_view,
 )
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of, offer
-from slam_gym.types import UNPAIRED, Array, Hypothesis, Posterior, Scan, ScanArrays
+from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, Posterior, Scan, ScanArrays
 
 _CLOSE = 1.0 / 3.0  # of the margin: hypotheses this close to the best, in log density, get a view of their own
 
@@ -49,7 +49,8 @@ def map_hypothesis(
     Candidates are the pairings within the individual gate whose confidence is ten times as close to 1 as that of the
     prediction, 0.999 for 0.99. No other test is made, because improbable hypotheses have a low density. `posterior`
     holds the density, its fraction of the densities of the final beam, the runner-up, and the marginals.
-    `effort.limit_hit` is set where the width of the beam excluded hypotheses. Localities are used as in `jcbb`.
+    `effort.limit_hit` is set where the width of the beam, or the limit of candidates of a measurement, may have
+    excluded hypotheses. Localities are used as in `jcbb`.
 
     Arguments:
         detection: P_D.
@@ -98,11 +99,23 @@ def _decide(
             fit = searched.fit + math.log(density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
             sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
+            fixed = rows != UNPAIRED
             rows[:] = searched.rows[np.argmax(sums.scores)]
-            posterior = posterior_of(expected, searched.rows, sums, rows)
+            posterior = _joint_posterior(posterior, posterior_of(expected, searched.rows, sums, rows), fixed)
         if not (rows == UNPAIRED).any():
             break
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent), posterior
+
+
+@compiled
+def _joint_posterior(first: PosteriorFields, given: PosteriorFields, fixed: BoolArray) -> PosteriorFields:
+    """The posterior of two searches: `given` is that of the second, in which the pairings of `fixed` (m,) hold."""
+    log_density, probability, runner_up, runner_up_probability, marginals, unpaired = given
+    probability, runner_up_probability = first[1] * probability, first[1] * runner_up_probability
+    if first[3] > runner_up_probability:
+        runner_up, runner_up_probability = first[2], first[3]
+    marginals, unpaired = np.where(fixed, first[4], marginals), np.where(fixed, first[5], unpaired)
+    return log_density, probability, runner_up, runner_up_probability, marginals, unpaired
 
 
 @compiled

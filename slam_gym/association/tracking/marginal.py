@@ -79,10 +79,6 @@ class Marginals(NamedTuple):
     area: float  # [m²] of the scan
 
 
-MarginalFields = tuple[Array, Array, BoolArray, Array, float]
-"""The fields of `Marginals`, as compiled code returns them."""
-
-
 def marginal(
     scan: Scan,
     prediction: Prediction,
@@ -97,7 +93,8 @@ def marginal(
 
     All features in reach are candidates, near or not: omitting an alternative would make the others look certain. The
     `posterior` holds the marginals of the decisions. Its probability is that of all decisions together, 0 where the
-    search did not find that hypothesis. `effort.limit_hit` is set where the width of the beam excluded hypotheses.
+    search did not find that hypothesis. `effort.limit_hit` is set where the width of the beam, or the limit of
+    candidates of a measurement, may have excluded hypotheses.
     `experience` is for the next prediction of the same run.
 
     Arguments:
@@ -139,8 +136,7 @@ def weigh(
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
     limits, prior = limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
-    answer, fields, posterior = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
-    return answer, Marginals(*fields), posterior
+    return _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
 
 
 class Prior(NamedTuple):
@@ -192,7 +188,7 @@ def _decide(
     rule: tuple[float, float, int],
     limit_fields: LimitFields,
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
-) -> tuple[Decided, MarginalFields, PosteriorFields]:
+) -> tuple[Decided, Marginals, PosteriorFields]:
     """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
     feature, and the number of sightings from which a feature is no longer provisional."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
@@ -215,8 +211,8 @@ def _decide(
     nodes, individual_tests, joint_tests, cut = kept.spent
     spent = Spent(nodes, individual_tests, joint_tests, cut or bool(crowded.any()))
     answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
-    marginal_fields = sums.pairings, sums.unpaired, new, sums.by_value, area
-    return answer, marginal_fields, posterior_of(expected, kept.rows, sums, rows)
+    marginals = Marginals(sums.pairings, sums.unpaired, new, sums.by_value, area)
+    return answer, marginals, posterior_of(expected, kept.rows, sums, rows)
 
 
 @compiled
@@ -282,7 +278,11 @@ def _promising(
     prices: Array,
     network: Network,
 ) -> list[HeadingSearch]:
-    """The headings in which a trial search finds a hypothesis within the margin of the best; at least one."""
+    """The headings in which a trial search finds a hypothesis within the margin of the best; at least one.
+
+    `score` is the best log score of each trial, which ignores measurements without a candidate. `behind` is by how much
+    its best log density falls short of that of the best heading, less `_DOUBT`.
+    """
     best, margin = -math.inf, limits.margin
     order, score, behind = np.empty(len(headings)), np.empty(len(headings)), np.empty(len(headings))
     trials: list[HeadingSearch] = []

@@ -47,8 +47,8 @@ CANDIDATE_FIELDS = (
     "covisible",  # fraction of the features paired so far that it is local to; without locality all are, to all
     "near",  # 1 where it was paired in a recent scan or is local to one that was, or where there is no locality
     "age",  # steps since it was first seen
-    "sightings",  # scans that updated or started it; 0 where nobody counts
-    "confirmed",  # 1 where the map believes in it
+    "sightings",  # scans that updated or started it; 0 if the prediction is not made from a map
+    "confirmed",  # 1 where it has as many sightings as confirm a feature
     "rivals",  # later measurements that it could be paired with instead
     "spread",  # √det S_ij, given the path
     "evidence",  # log N(e; 0, S) given the path, over the density of measurements of nothing in the map

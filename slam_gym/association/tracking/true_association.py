@@ -10,7 +10,12 @@ from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Scan
 
 
 def true_association(
-    scan: Scan, prediction: Prediction, *, sources: IntArray, identities: IntArray, new_features: bool = False
+    scan: Scan,
+    prediction: Prediction,
+    *,
+    sources: IntArray | None = None,
+    identities: IntArray | None = None,
+    new_features: bool = False,
 ) -> Hypothesis:
     """Pair each measurement with the predicted map feature that comes from the same true feature.
 
@@ -21,8 +26,13 @@ def true_association(
         new_features: also decide which measurements start a feature: the first of each true feature that is not in the
             map.
 
-    Raises ValueError where the number of sources is not that of the measurements.
+    Raises ValueError where the truth is missing, or the number of sources is not that of the measurements.
     """
+    if sources is None or identities is None:
+        raise ValueError(
+            "true_association needs the true sources: environments, and slam-gym evaluate-association --recording, "
+            "have them; Slam alone does not"
+        )
     if len(sources) != len(scan.points):
         raise ValueError(f"sources: {len(sources)} for {len(scan.points)} measurements")
     row_of: dict[int, int] = {}

@@ -74,11 +74,12 @@ class Fusion(NamedTuple):
 
 
 def fuse(m: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Fusion:
-    """Fuse the features of each pair (k, 2) into the first of them. `m` and `graph` are not changed."""
+    """Fuse the features of each pair (k, 2) into the first of them, which gets the older id. `m` and `graph` are not
+    changed."""
     became, kept = np.arange(m.n), np.delete(np.arange(m.n), pairs[:, 1])
     became[pairs[:, 1]] = pairs[:, 0]
     fused = graph.fused(pairs[:, 0], pairs[:, 1])
-    return Fusion(equate(m, pairs), fused, m.ids[pairs], np.searchsorted(kept, became))
+    return Fusion(equate(m, pairs), fused, np.sort(m.ids[pairs], axis=1), np.searchsorted(kept, became))
 
 
 def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Fusion | None:

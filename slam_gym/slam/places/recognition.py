@@ -26,14 +26,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, eigh
 
-from slam_gym.association import indexed, resolve_relocator
+from slam_gym.association import indexed
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Relocator, Scan
+from slam_gym.types import Array, IntArray, Relocation, Scan
 from slam_gym.validation import check_settings
 
 _FEW = 100  # features; each doubling beyond requires one more pair
@@ -54,12 +54,10 @@ class RecognitionSpec:
     min_loop_pairs: int = 5
     max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs, in one search
     # maps and missed loops, without a prior
-    search: str | Relocator = "indexed"  # finds the recent part among other features
-    node_limit: int = 5_000  # poses that `indexed` examines before it gives up
+    node_limit: int = 5_000  # poses that the search examines before it gives up: clutter can make it examine every pose
     min_pairs: int = 8  # with six, half of the loops that were closed without a prior were wrong
 
     def __post_init__(self) -> None:
-        resolve_relocator(self.search)
         check_settings(self)
         if self.min_loop_pairs > self.group:
             raise ValueError(f"min_loop_pairs: {self.min_loop_pairs} is more than group, {self.group}")
@@ -117,20 +115,12 @@ def recognise(
     first, second = np.nonzero(graph.among(among))
     locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
     needed = max(least_pairs(len(among), spec), required_pairings(scan, landmarks))
-    found = _search(scan, landmarks, locality, spec, needed)
-    if found.pairings < max(needed, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
+    found = indexed(scan, landmarks, locality, min_pairings=max(needed, 3), node_limit=spec.node_limit)
+    if found.pairings < needed or found.ambiguous or found.effort.limit_hit:
         return None
     least = found.pairings - spec.margin + 1
-    accidental = _search(mirrored(scan), landmarks, locality, spec, least).pairings
-    return found if accidental < least else None
-
-
-def _search(scan: Scan, landmarks: Landmarks, locality: Locality, spec: RecognitionSpec, least: int) -> Relocation:
-    """The answer of the search of `spec`. `indexed` finds nothing below `least` pairings, and gives up at a limit."""
-    search = resolve_relocator(spec.search)
-    if search is indexed:  # without the limits, clutter can make it examine every pose
-        return indexed(scan, landmarks, locality, min_pairings=max(least, 3), node_limit=spec.node_limit)
-    return search(scan, landmarks, locality)
+    mirror = indexed(mirrored(scan), landmarks, locality, min_pairings=max(least, 3), node_limit=spec.node_limit)
+    return found if mirror.pairings < least else None
 
 
 def least_pairs(among: int, spec: RecognitionSpec) -> int:

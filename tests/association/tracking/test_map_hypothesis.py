@@ -63,11 +63,25 @@ def test_with_locality_what_is_near_is_decided_first(seed):
     related = grouped(prediction, seed)
     prediction, near = densities.dressed(oracles.related_by(prediction, related), seed), prediction.near
     ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
-    first = ranking[0][1]
+    first, answer = ranking[0][1], map_hypothesis(scan, prediction, **MODEL, **WIDE)
     lists = oracles.compatible(scan, prediction, 0.999)
     if any(not near[j] for i, found in enumerate(lists) if first[i] == UNPAIRED for _, j in found):
+        of_first, rows_of_first = shares_of(ranking)
         ranking = hypotheses(scan, prediction, ~near, first, related)
-    check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking)
+        of_second, rows_of_second = shares_of(ranking)
+        rows, paired = rows_of_second[0], np.array(first) != UNPAIRED
+        marginals = np.where(paired, of_first @ (rows_of_first == rows), of_second @ (rows_of_second == rows))
+        assert answer.posterior.probability == pytest.approx(of_first[0] * of_second[0], abs=2e-3)
+        assert answer.posterior.marginals == pytest.approx(marginals, abs=2e-3)
+        assert answer.posterior.log_density == pytest.approx(ranking[0][0], abs=5e-3)
+    else:
+        check(answer, prediction, ranking)
+
+
+def shares_of(ranking):
+    """The probability (h,) of each hypothesis, and their rows (h, m)."""
+    shares = np.exp(np.array([density for density, _ in ranking]) - ranking[0][0])
+    return shares / shares.sum(), np.array([rows for _, rows in ranking])
 
 
 def grouped(prediction, seed):

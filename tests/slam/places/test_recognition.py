@@ -50,8 +50,6 @@ def test_a_group_never_claims_more_than_the_map_knows(seed: int) -> None:
     assert np.trace(claimed) / len(claimed) < 0.1 * drift  # and yet what is common does not count
 
 
-def test_a_search_that_is_unknown_is_refused() -> None:
-    with pytest.raises(ValueError, match="unknown relocator"):
-        RecognitionSpec(search="nobody")
+def test_a_loop_of_more_pairs_than_the_recent_part_has_features_is_refused() -> None:
     with pytest.raises(ValueError, match="min_loop_pairs: 9 is more than group, 8"):
         RecognitionSpec(min_loop_pairs=9, group=8)
