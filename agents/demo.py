@@ -67,12 +67,18 @@ def main(
     """Draw the maps that different associators make of one drive on bad wheels."""
     from matplotlib.figure import Figure
 
+    from slam_gym.association import resolve_associator
     from slam_gym.rendering.plot import plot_episode
 
     names = associators or list(ASSOCIATORS)
+    for name in names:
+        resolve_associator(name)
+    figure = Figure(figsize=(5.6 * len(names), 4.4), dpi=120, layout="constrained")
+    formats = figure.canvas.get_supported_filetypes()
+    if output.suffix[1:] not in formats or not output.resolve().parent.is_dir():
+        raise ValueError(f"--output {output}: expected a picture ({', '.join(formats)}) in a folder that exists")
     print(f"driving through {scenario}, world {seed} …", flush=True)
     speeds = one_drive(scenario, seed)
-    figure = Figure(figsize=(5.6 * len(names), 4.4), dpi=120, layout="constrained")
     figure.suptitle("true walls black, explored walls light, mapped features blue, true path grey, estimated path red")
     axes = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)[0]
     for ax, name in zip(axes, names):
@@ -84,7 +90,7 @@ def main(
         ax.spines[:].set_visible(False)
     figure.savefig(output)
     print(f"picture: {output.resolve()}")
-    print("next: slam-gym evaluate-association --scenario drift-3 --associators jcbb learned --episodes 4")
+    print(f"next: slam-gym evaluate-association --scenario {scenario} --associators {' '.join(names)} --episodes 4")
 
 
 app = command(main, "slam-gym demo --associators jcbb ipjc --output mine.png")

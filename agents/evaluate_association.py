@@ -34,7 +34,8 @@ class Candidates:
 
     associators: Associators = None
     relocation: Annotated[
-        Names, Option(metavar="NAME …", help="See slam-gym list relocators; or module:function, none.")
+        Names,
+        Option(metavar="NAME …", help="See slam-gym list relocators; or none. By default both none and gcbb."),
     ] = None
     split: Annotated[Literal["train", "test"], Option(help="Split of the worlds; tune on train.")] = "test"
 
@@ -61,7 +62,7 @@ def main(
     ] = None,
     film: Annotated[bool, Option("--film", help="Film the first drive of two to four, side by side.")] = False,
 ) -> None:
-    """Evaluate associators on the same drives, over the suite, or on a recording."""
+    """Evaluate associators in the same test worlds, on the scans of the suite, or on a recording."""
     if suite and recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
     if film and (suite or recording or not 2 <= len(candidates.names) <= 4):

@@ -46,7 +46,9 @@ def main(
         _evaluate(entry, role or _role_of(entry), quick, board, execution)
     entries, refused = read_entries([BASELINES, board])
     roles = {entry.protocol["role"] for entry in entries if entry.protocol["quick"]}
-    entries += [entry.quick() for entry in read_entries([BASELINES])[0] if entry.protocol["role"] in roles]
+    own = {(entry.name, entry.protocol["role"]) for entry in entries if entry.protocol["quick"]}
+    shipped = [entry.quick() for entry in read_entries([BASELINES])[0] if entry.protocol["role"] in roles]
+    entries += [entry for entry in shipped if (entry.name, entry.protocol["role"]) not in own]
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
     tables = markdown(entries)

@@ -54,7 +54,9 @@ class World(Scenes):
     """Scenes, with options for SLAM."""
 
     associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None
-    relocation: Annotated[str | None, Option(metavar="NAME", help="Search that finds a lost robot; or none.")] = None
+    relocation: Annotated[
+        str | None, Option(metavar="NAME", help="Search that finds a lost robot, by default gcbb; or none.")
+    ] = None
 
     def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
         slam = {"associator": self.associator, "relocation": search_of(self.relocation)}
@@ -72,7 +74,10 @@ class World(Scenes):
 class Episodes:
     """The numbers of the episodes."""
 
-    episodes: Annotated[int | None, Option(min=1, metavar="N", help="Number of episodes.", show_default=False)] = None
+    episodes: Annotated[
+        int | None,
+        Option(min=1, metavar="N", help="Number of episodes; by default 4, of associators 30.", show_default=False),
+    ] = None
     seed: Annotated[int, Option(min=0, metavar="K", help="First episode; episode k is world k with seed k.")] = 0
 
     def range(self, default: int) -> range:
@@ -88,7 +93,7 @@ class AssociateWorld:
     driver: Annotated[str, Option(help="nearest_frontier or random.")] = "nearest_frontier"
     reward: Annotated[str, Option(help="truth or map_error.")] = "truth"
     candidates: Annotated[int, Option(min=1, metavar="K", help="Features on offer for a measurement.")] = 5
-    order: Annotated[str, Option(help="Order of the measurements.")] = "as_scanned"
+    order: Annotated[str, Option(help="as_scanned, nearest_first or fewest_candidates.")] = "as_scanned"
     compatibility: Annotated[str, Option(help="joint or individual.")] = "joint"
     wrong_cost: Annotated[float, Option(metavar="C", help="Cost of a wrong pairing.")] = 10.0
 
@@ -141,8 +146,8 @@ class Training:
     """The training of a policy: length, seed and hyperparameters."""
 
     timesteps: Annotated[int | None, Option(min=1, metavar="N", help="Decisions; by default as in FILE.")] = None
-    seed: Annotated[int, Option(min=0, metavar="K")] = 0
-    output: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
+    seed: Annotated[int, Option(min=0, metavar="K", help="Of the networks and the worlds.")] = 0
+    output: Annotated[Path | None, Option(metavar="DIR", help="By default runs/drive or runs/associate.")] = None
     resume: Annotated[bool, Option("--resume", help="Continue in DIR, up to --timesteps.")] = False
     hyperparameters: Annotated[Path | None, Option(metavar="FILE", help="TOML; by default the shipped file.")] = None
     envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None

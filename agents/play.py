@@ -113,9 +113,9 @@ class Game:
         return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
 
     def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        from agents.evaluation.associators import find_associator
+        from slam_gym.association import resolve_associator
 
-        return find_associator(self.associators[0])(scan, prediction)
+        return resolve_associator(self.associators[0])(scan, prediction)
 
     def relocate(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
         """The result of the relocation search, or no pose while relocation is off."""
@@ -128,7 +128,7 @@ class Game:
         return Relocation(unpaired, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
 
     def rival(self, world: int) -> float:
-        """The map error of information gain in a world, with the scenario's associator."""
+        """The map error of information gain in a world, with the associator with which the game began."""
         from agents.drivers.base import make_agent
         from agents.evaluation.episodes import run_episode
 
@@ -196,7 +196,7 @@ def main(
     ] = None,
     model: Annotated[Path | None, Option(metavar="FILE", help="Model of a learned agent.")] = None,
     seed: Annotated[int, Option(min=0, metavar="K", help="World k of the train split, with seed k.")] = 0,
-    steps: Annotated[int | None, Option(metavar="N", help="Stop after so many steps.")] = None,
+    steps: Annotated[int | None, Option(min=1, metavar="N", help="Stop after so many steps.")] = None,
 ) -> None:
     """Drive the robot, or watch an agent drive."""
     from agents.drivers.base import make_agent
@@ -204,7 +204,7 @@ def main(
     from slam_gym.rendering.canvas import Window
     from slam_gym.simulation.judged import CEILING
 
-    watched = make_agent(agent, model) if agent else None
+    watched = make_agent(agent or "ppo", model) if agent or model else None
     arguments, controls = world_options.arguments("office", split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # raises for unknown names; contains the scenario's associator
     names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])

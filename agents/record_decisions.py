@@ -9,6 +9,7 @@ import numpy as np
 from typer import Option
 
 from agents.cli import command
+from agents.evaluation.records import stem
 from agents.options import AssociateWorld, Episodes
 
 if TYPE_CHECKING:
@@ -71,12 +72,12 @@ def main(
     split: Annotated[Literal["train", "test"], Option(help="Split of the worlds.")] = "train",
     dataset: Annotated[str, Option(metavar="NAME", help="Name of the data set, in Minari's form.")] = "",
 ) -> None:
-    """Write an associator's decisions to a Minari data set: pip install 'slam_gym[minari]'."""
+    """Write an associator's decisions to a Minari data set. Needs the extra `minari`."""
     import minari
     from minari.data_collector import EpisodeBuffer
 
     worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES)
-    name = dataset or f"slam_gym/{'-'.join(each.scenario for each in worlds)}/{associator}-v0"
+    name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
     envs = [each.make() for each in worlds]
     for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
         ends = np.arange(1, len(e.actions) + 1) == len(e.actions)

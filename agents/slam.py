@@ -1,6 +1,7 @@
 """SLAM on a user's log: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
 
-LOG.map.csv     id, x, y [m], standard deviations [m] and sightings of every feature, in the frame of the first pose
+LOG.map.csv     id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame of the
+                first pose
 LOG.path.tum    the robot's pose at every step, for evo and other tools
 LOG.png         features with ellipses of two standard deviations, and the path
 """
@@ -44,13 +45,16 @@ def main(
         str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or see slam-gym list recordings.")
     ],
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "marginal",
-    relocation: Annotated[str | None, Option(metavar="NAME", help="Search that finds a lost robot; or none.")] = None,
+    relocation: Annotated[
+        str | None, Option(metavar="NAME", help="Search that finds a lost robot, by default gcbb; or none.")
+    ] = None,
     output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:
     """Map a log: features, path, picture."""
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from agents.evaluation.tables import counted
     from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import plot_map, plot_path
 
@@ -58,7 +62,8 @@ def main(
     for recording in open_recordings(log):
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
         slam, poses, doubted = run(recording, associator, search_of(relocation))
-        files = [output / f"{recording.name}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
+        base = recording.name.replace("/", "-")
+        files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
         m = slam.map
         deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
         columns = np.column_stack([m.ids, m.positions, deviations, m.seen])[~m.provisional]
@@ -69,11 +74,11 @@ def main(
         ax = plot_path(poses, plot_map(m, figure.subplots()))
         ax.set(title=f"{recording.name}: {len(table)} features by {associator}", xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
-        print(f"{len(table)} features, {len(slam.maps)} {'map' if len(slam.maps) == 1 else 'maps that are not joined'}")
+        joined = "1 map" if len(slam.maps) == 1 else f"{len(slam.maps)} maps that are not joined"
+        print(f"{counted(len(table), 'feature')}, {joined}")
         if slam.tracker is not None and (doubted or slam.tracker.slips):
-            print(
-                f"the wheels slipped {slam.tracker.slips} times; {doubted} scans fit nowhere and were not learned from"
-            )
+            slips = counted(slam.tracker.slips, "time")
+            print(f"the wheels slipped {slips}; {counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
         print("\n".join(str(file) for file in files))
 
 

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import Metered, find_associator
+from agents.evaluation.associators import Metered
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
 from agents.options import Suite
-from slam_gym.association import resolve_relocator, true_association
+from slam_gym.association import resolve_associator, resolve_relocator, true_association
 from slam_gym.association.prediction import Prediction, predict
-from slam_gym.geometry import relative, wrap_angle
+from slam_gym.geometry import relative
 from slam_gym.mapping.locality import covisible
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.visibility import ViewsFrom
@@ -33,6 +33,7 @@ from slam_gym.scenarios import SPLITS, world_generator, world_seed
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam, RightAnswers
+from slam_gym.simulation.kidnapping import is_right
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
 from slam_gym.validation import one_of
@@ -218,8 +219,7 @@ def judge_relocation(found: Relocation, truth: Array | None) -> str:
         return "invented" if found.accepted else "refused"
     if not found.accepted:
         return "silent"
-    off = math.hypot(found.pose[0] - truth[0], found.pose[1] - truth[1])
-    return "correct" if off <= MAX_DISTANCE and abs(wrap_angle(found.pose[2] - truth[2])) <= MAX_TURN else "wrong"
+    return "correct" if is_right(found.pose, truth, MAX_DISTANCE, MAX_TURN) else "wrong"
 
 
 # -- the evaluation ---------------------------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
     """The evaluation of all associators and relocators on every level. Raises ValueError for unknown names."""
     worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
     count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
-    with_prior = {name: find_associator(name) for name in associators}
+    with_prior = {name: resolve_associator(name) for name in associators}
     without_prior = {name: resolve_relocator(name) for name in relocators}
     tasks = []
     for name in dict.fromkeys(options.experiments or EXPERIMENTS):

@@ -28,8 +28,11 @@ def drive(
 
     arguments = world.arguments("office-small", "train", reward)
     model = train(action, [arguments], training, "runs/drive")
-    print(f"wrote {model}; evaluate it beside the baselines with\n"
-          f"  slam-gym evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
+    where = f"--scenario {arguments.scenario}"
+    if arguments.floor_plan is not None:
+        where = f"--floor-plan {arguments.floor_plan}"
+        where += "" if arguments.resolution is None else f" --resolution {arguments.resolution}"
+    print(f"wrote {model}; evaluate it beside the baselines with\n  slam-gym evaluate --model {model} {where}")
 
 
 def associate(
@@ -43,11 +46,12 @@ def associate(
     from slam_gym.simulation.association_runs import LOGS
 
     worlds = world.worlds("train")
-    training = replace(training, timesteps=QUICK) if quick else training
+    training = replace(training, timesteps=training.timesteps or QUICK) if quick else training
     weights = train("branch", worlds, training, "runs/associate", clone).with_name(WEIGHTS)
-    driven = " ".join(each.scenario for each in worlds if each.scenario not in LOGS)  # no drives in logs
+    driven = [name for each in worlds if (name := each.scenario) not in LOGS and not name.startswith("recording:")]
+    where = f"--scenario {' '.join(driven)}" if driven else "--suite"  # there are no drives in logs
     print(f"wrote {weights}; compare it with the classical associators by\n"
-          f"  slam-gym evaluate-association --associators jcbb marginal {weights} --scenario {driven}")  # fmt: skip
+          f"  slam-gym evaluate-association --associators jcbb marginal {weights} {where}")  # fmt: skip
 
 
 app = command(drive, "slam-gym train drive --scenario office-small --timesteps 50000 --output runs/mine", "drive")

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,6 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from slam_gym import Landmarks, Locality, Scan
-from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array, Relocation, Relocator
 
 Record = dict[str, Any]
@@ -76,18 +75,6 @@ def lanes(side: float, between: float, step: float) -> Array:
     """Poses (w, 3) of a drive in lanes over a square, all with heading 0."""
     across, along = np.arange(min(between, side) / 2.0, side, between), np.arange(0.0, side, step)
     return np.array([(x, y, 0.0) for k, y in enumerate(across) for x in along[:: 1 if k % 2 == 0 else -1]])
-
-
-class Tolerance(NamedTuple):
-    """The largest errors of a right pose."""
-
-    metres: float
-    radians: float
-
-    def holds(self, pose: Array, true: Array) -> bool:
-        """Whether `pose` (3,) is right, given the `true` one (3,); False where one of them is NaN."""
-        error = pose - true
-        return math.hypot(error[0], error[1]) < self.metres and abs(wrap_angle(float(error[2]))) < self.radians
 
 
 def attempt(

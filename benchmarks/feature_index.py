@@ -16,16 +16,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from benchmarks.common import Record, Tolerance, fastest, options, table, timed
+from benchmarks.common import Record, fastest, options, table, timed
 from slam_gym import Landmarks, Scan
 from slam_gym.association.relocation.triangles import FeatureIndex
 from slam_gym.geometry import observe
+from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import clutter
 from slam_gym.types import Array
 
 SIGMA = 0.05  # [m] of features in the map, and of measurements
 DENSITY = 1.0 / 16.0  # [1/m²]
-NEAR = Tolerance(0.3, math.radians(3.0))  # of a right pose
+NEAR = 0.3, math.radians(3.0)  # of a right pose
 
 
 class Kind(NamedTuple):
@@ -68,7 +69,7 @@ def relocations(index: FeatureIndex, queries: list[tuple[Scan, Array]]) -> Recor
     rows = []
     for scan, pose in queries:
         answer = index.relocate(scan)
-        right = NEAR.holds(answer.pose, pose)
+        right = is_right(answer.pose, pose, *NEAR)
         verdict = {"right": answer.accepted and right, "wrong": answer.accepted and not right}
         verdict |= {"limit hit": answer.effort.limit_hit, "ambiguous": answer.ambiguous}
         rows.append({"ms": 1e-3 * fastest(index.relocate, scan, repeats=3), **verdict})

@@ -20,14 +20,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from benchmarks.common import Record, Tolerance, attempt, count_answers, options, table
+from benchmarks.common import Record, attempt, count_answers, options, table
 from slam_gym import UNPAIRED, Locality, gcbb, random_sampling
 from slam_gym.association.relocation.location import locate
 from slam_gym.mapping.locality import hypothesis_bound, hypothesis_count, locality_sizes
+from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import LOCALITIES, FieldScan, SurveyedField, surveyed_field
 from slam_gym.types import IntArray, Relocator
 
-NEAR = Tolerance(1.0, math.radians(5.0))  # around the pose by the true pairings
+NEAR = 1.0, math.radians(5.0)  # around the pose by the true pairings
 LARGEST = 3_200  # features of a map that is searched without a locality
 
 
@@ -45,7 +46,7 @@ def relocate(search: Relocator, area: SurveyedField, drawn: FieldScan, locality:
     answer, record = attempt(search, drawn.scan, area.landmarks, locality)
     true, right = drawn.truth != UNPAIRED, False
     if true.sum() >= 2 and np.isfinite(answer.pose).all():
-        right = NEAR.holds(answer.pose, locate(drawn.scan, area.landmarks, drawn.truth).pose)
+        right = is_right(answer.pose, locate(drawn.scan, area.landmarks, drawn.truth).pose, *NEAR)
     right_pairings = int((true & (answer.features == drawn.truth)).sum())
     record |= {"inside": bool(np.isfinite(drawn.pose).all()), "right": right}
     return record | {

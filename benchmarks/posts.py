@@ -1,5 +1,6 @@
-"""Logs of a robot that drives twice round a field of posts, simulated as courses on EKF-SLAM do, and what may be wrong
-with a log: clutter, poor detection, wheels that slip, wrong σ, few scans. Who maps a post twice, and why?
+"""Simulated logs among posts, with clutter, poor detection, slip, wrong σ or few scans: who maps a post twice?
+
+A robot drives twice round a field of posts, as in courses on EKF-SLAM.
 
 80 posts at random in 60 m × 40 m, at least 1 m apart; 1 413 steps of 0.25 m along a ring, a cross and the ring again; a
 sensor that sees 12 m far and 90° to either side. The treatment of slip, and of old features beside near ones, was

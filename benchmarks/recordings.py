@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation.mapped_log import map_log
-from benchmarks.common import Tolerance, attempt, count_answers, data_folder, options, table
+from benchmarks.common import attempt, count_answers, data_folder, options, table
 from slam_gym import Landmarks, Locality, Scan, Slam, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, within
@@ -36,12 +36,13 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
+from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array, IntArray, Truth
 
 KNOWN = 3  # least number of mapped trunks in a scan from inside
 MISLABELLED = 5.0  # [m] a feature this far from the place of its label has another source
-NEAR = Tolerance(1.0, math.radians(3.0))  # errors are centimetres for right answers, tens of metres for wrong ones
+NEAR = 1.0, math.radians(3.0)  # errors are centimetres for right answers, tens of metres for wrong ones
 
 PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
@@ -133,7 +134,7 @@ def attempts(place: Place, node_limit: int) -> pd.DataFrame:
             shown = scan if sizes else without_sizes(scan)
             answer, record = attempt(search, shown, landmarks, place.localities[locality])
             key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
-            rows.append(key | record | {"right": inside and NEAR.holds(answer.pose, pose)})
+            rows.append(key | record | {"right": inside and is_right(answer.pose, pose, *NEAR)})
     return pd.DataFrame(rows)
 
 

@@ -60,6 +60,7 @@ ROOMS = {
     "agents.learning": "Learned drivers and associators",
     "agents.evaluation": "Running evaluations",
     "agents.reports": "Tables, figures, films, pages",
+    "agents.ranking": "The leaderboard: protocol, board, process of an entry",
 }
 """Packages in the order of the reference, and what each is about. The page of a package documents its modules."""
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import nbformat
 import pytest
 import typer
@@ -29,7 +28,6 @@ PAGES = sorted(
     for path in ROOT.glob(pattern)
 )
 IN_THE_REPOSITORY = [path for path in PAGES if path.suffix == ".md" and ROOT / "docs" not in path.parents]
-LARGEST_PICTURE = 150_000  # [bytes]
 NEEDS_DATA = "# with SLAM_GYM_DATA"  # first line of blocks that read public logs
 NEEDS_PACKAGE = re.compile(r"# with ([a-z]\w+)\n")  # likewise of blocks that need what no extra installs
 ENVIRONMENT = re.compile(r"\w+=")
@@ -267,24 +265,6 @@ def test_results_are_six_short_pages_with_their_plots() -> None:
         for background in ("light", "dark"):
             plot = page.with_name(f"{page.stem}-{background}.svg")
             assert plot.is_file() and plot.name in text_of(page), "python docs/results/plots.py draws it"
-
-
-def test_pictures_are_small_and_shown() -> None:
-    pages = "\n".join(text_of(page) for page in PAGES) + (ROOT / "docs" / "hooks.py").read_text()
-    for picture in (ROOT / "docs" / "pictures").glob("*.png"):
-        assert picture.stat().st_size < LARGEST_PICTURE, picture.name
-        assert picture.name in pages or picture.name.startswith(("scenario_", "small_")) or picture.stem in pages
-
-
-def test_the_film_is_small_and_shown_first() -> None:
-    film = ROOT / "docs" / "pictures" / "film.gif"
-    assert film.stat().st_size < 2_000_000 and film.name in text_of(ROOT / "README.md")
-
-
-def test_every_environment_and_scenario_has_its_picture() -> None:
-    names = [spec.name.lower() for spec in gym.registry.values() if spec.namespace == "slam_gym"]
-    for name in [*names, *(f"{size}_{scenario}" for scenario in SCENARIOS for size in ("scenario", "small"))]:
-        assert (ROOT / "docs" / "pictures" / f"{name}.png").is_file(), f"python docs/pictures.py draws {name}.png"
 
 
 # -- these checks can fail -------------------------------------------------------------------------------------------

@@ -89,13 +89,17 @@ def is_learned(name: str) -> bool:
 
 
 def make_agent(name: str, model: Path | str | None = None, *, trust: bool = False) -> Agent:
-    """A new agent. Learned ones need a model file; `trust` allows formats that can run code when they are read."""
+    """A new agent. Learned ones need a model file; `trust` allows formats that can run code when they are read.
+
+    Raises ValueError for an unknown name, a missing file, and a class that is no agent.
+    """
     cls = find_agent(name)
-    if not hasattr(cls, "load"):
-        return cast(Agent, cls())
-    if model is None:
+    if hasattr(cls, "load") and model is None:
         raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; slam-gym train makes one)")
-    return cast(Agent, cls.load(Path(model), trust=trust))
+    agent = cls.load(Path(model), trust=trust) if model is not None and hasattr(cls, "load") else cls()
+    if missing := [part for part in ("name", "action", "reset", "act") if not hasattr(agent, part)]:
+        raise ValueError(f"agent {name!r} has no {' and no '.join(missing)}: see agents.drivers.base.Agent")
+    return cast(Agent, agent)
 
 
 def legal_goals(info: Info) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 
 from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
 from agents.drivers.baselines import InformationGain
@@ -203,21 +204,12 @@ def _spread(cells: Array, most: int) -> IntArray:
 
 def _graph(cells: Array) -> sparse.csr_matrix:
     """Distances between neighbouring cells, eight around each; diagonals only where both cells beside them exist."""
-    across = np.diff(np.unique(cells[:, 0]))
+    across, tree = np.diff(np.unique(cells[:, 0])), KDTree(cells)
     side = float(across.min()) if len(across) else 1.0
-    columns, rows = np.rint((cells - cells.min(axis=0)) / side).astype(np.int64).T + 1
-    index = np.full((rows.max() + 2, columns.max() + 2), -1)
-    index[rows, columns] = np.arange(len(cells))
-    starts, ends, lengths = [], [], []
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        other = index[rows + down, columns + right]
-        joined = (other >= 0) & (index[rows + down, columns] >= 0) & (index[rows, columns + right] >= 0)
-        starts.append(np.flatnonzero(joined))
-        ends.append(other[joined])
-        lengths.append(np.full(int(joined.sum()), side * math.hypot(down, right)))
-    one, two, length = (np.concatenate(parts) for parts in (starts, ends, lengths))
-    half = sparse.csr_matrix((length, (one, two)), shape=(len(cells), len(cells)))
-    return half + half.T
+    beside = (tree.sparse_distance_matrix(tree, 1.1 * side, output_type="coo_matrix").tocsr() > 0.0).astype(np.float64)
+    corner = beside @ beside == 2.0  # two ways lead there: over either of the cells beside the diagonal
+    corner.setdiag(False)
+    return side * beside + math.sqrt(2.0) * side * corner
 
 
 def _seen_from(site: Site, reach: float) -> Bits:

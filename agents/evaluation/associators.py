@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ import numpy as np
 from agents.evaluation.records import Record
 from slam_gym.association import ASSOCIATORS, resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Associator
-from slam_gym.association.tracking.ppo import walk_by
 from slam_gym.simulation.judged import CEILING
 
 SIMPLEST_FIRST = (
@@ -27,21 +24,13 @@ JOIN = " + "
 """Separates the associator and the relocation search in the name of a contender."""
 
 
-@lru_cache
-def find_associator(name: str) -> Associator:
-    """An associator by name, `module:function`, or file of weights. Raises ValueError, listing the known names."""
-    if Path(name).suffix == ".npz":
-        return walk_by(name)
-    return resolve_associator(name)
-
-
 def contenders(associators: Sequence[str], relocations: Sequence[str | None]) -> dict[str, tuple[str, str | None]]:
     """Name → (associator, relocation search), for every combination of the two.
 
     Raises ValueError for an unknown associator or relocator.
     """
     for name in associators:
-        find_associator(name)
+        resolve_associator(name)
     for search in filter(None, relocations):
         resolve_relocator(search)
     several = len(relocations) > 1
@@ -81,5 +70,5 @@ def metered(associator: str) -> tuple[Metered, Associator | str]:
     that its meter stays empty."""
     if associator == CEILING:
         return Metered(ASSOCIATORS[CEILING]), CEILING
-    meter = Metered(find_associator(associator))
+    meter = Metered(resolve_associator(associator))
     return meter, meter

@@ -38,7 +38,7 @@ from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Truth
 
 FOLDER = "runs"  # with these files, in the folder of an evaluation
 MAX_GAP = 1.0  # [s] poses are not interpolated between samples that are farther apart
@@ -209,15 +209,15 @@ def _pairings(mapped: MappedLog) -> Record:
 
 
 def _confirmed(mapped: MappedLog) -> Record:
-    """Measures of the confirmed features, by the identity of the measurements that started them."""
+    """Measures of the confirmed features, by the identity of the measurements that started them; NaN without labels."""
     identity = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
-    found = identity[identity >= 0].nunique()
+    found, labelled = identity[identity >= 0].nunique(), (mapped.log.sources != UNLABELLED).any()
     return {
         "features": len(identity),
         "true_features": len(np.unique(mapped.log.sources[mapped.log.sources >= 0])),
         "found": found,
-        "duplicates": int((identity >= 0).sum()) - found,
-        "clutter_features": int((identity == SPURIOUS).sum()),
+        "duplicates": int((identity >= 0).sum()) - found if labelled else math.nan,
+        "clutter_features": int((identity == SPURIOUS).sum()) if labelled else math.nan,
     }
 
 
@@ -329,6 +329,7 @@ def recording_evaluation(
         Task([Key(name, log.name, 0)], partial(map_and_measure, log, name, *searches, out / FOLDER))
         for log in logs
         for name, searches in contenders(associators, relocations).items()
+        if searches[0] != CEILING or (log.sources != UNLABELLED).any()  # without labels it pairs nothing
     ]
     settings = {log.name: asdict(slam_for(log)) for log in logs}
     return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, {"settings": settings})

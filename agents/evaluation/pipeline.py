@@ -1,7 +1,7 @@
 """The pipeline of all evaluations: tasks, distributed over processes, and the folder of their results.
 
 The folder contains `results.csv`, one row per episode (`pandas.read_csv`), and `results.json` with the commands,
-conditions, seeds and versions behind it. Tables and reports are made from these two files.
+conditions and versions behind it. Tables and reports are made from these two files.
 """
 
 from __future__ import annotations
@@ -181,6 +181,8 @@ def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | Non
         if out.is_dir() and any(out.iterdir()):
             raise ValueError(f"{out} is not empty: give another --output")
         return None
+    if before.frame.empty and not resume and {path.name for path in out.iterdir()} == {METADATA}:
+        return None  # the former command failed before its first episode ended
     versions = before.metadata["versions"]
     was = before.conditions | {"evaluation": before.metadata["kind"], "slam_gym": versions.get("slam_gym")}
     now = plain(evaluation.conditions) | {"evaluation": evaluation.kind, "slam_gym": slam_gym.__version__}

@@ -188,7 +188,10 @@ def _log(name: str) -> ScanLog:
         whole = open_recordings(published)[0]
         log = whole.part(0, len(whole) // 2).every(int(number))
     else:
-        log = next(log for log in open_recordings(published, robots=[int(number)]) if "Dataset6" in log.name)
+        logs = [log for log in open_recordings(published, robots=[int(number)]) if "Dataset6" in log.name]
+        if not logs:
+            raise ValueError(f"{name}: the data contain no MRCLAM_Dataset6, on which the weights are trained")
+        (log,) = logs
 
     def steps(_rng: np.random.Generator) -> Iterator[tuple[Any, Scan, Truth]]:
         for (odometry, scan, sources), pose in zip(log.steps(), reference_poses(log)):

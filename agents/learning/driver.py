@@ -11,10 +11,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import joblib
 import numpy as np
 import torch
@@ -118,7 +117,7 @@ class Examples(NamedTuple):
 
 def sketched_drive(scenario: str, world: int) -> tuple[int, Examples]:
     """The train world, and the states of a drive through it by information gain; the same in every process."""
-    env, rng = _env(scenario), np.random.default_rng(world)
+    env, rng = ExploreArguments(scenario, split="train").make("goal"), np.random.default_rng(world)
     env.reset(**reset_arguments(world))
     episode = env.unwrapped.episode  # type: ignore[attr-defined]
     sketch, states = Sketch(episode, int(episode.scenario.budget * rng.uniform(*_BUDGETS))), []
@@ -130,12 +129,6 @@ def sketched_drive(scenario: str, world: int) -> tuple[int, Examples]:
             states.append((*tokens, values))
         sketch.step(int(rng.choice(np.flatnonzero(legal))) if rng.random() < _RANDOM else chosen)
     return world, Examples(*(np.array(part) for part in zip(*states)))
-
-
-@lru_cache(maxsize=4)
-def _env(scenario: str) -> gym.Env[Any, Any]:
-    """The environment, which is kept for the next drive of the same process."""
-    return ExploreArguments(scenario, split="train").make("goal")
 
 
 def greedy(sketch: Sketch) -> int:

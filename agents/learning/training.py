@@ -57,7 +57,7 @@ ASTRAY = 0.7  # [m] of a robot from where it believes to be, which ends an episo
 Arguments = ExploreArguments | AssociateArguments
 
 MODEL, WEIGHTS, CHECKPOINTS = "model.zip", "associator.npz", "checkpoints"
-_MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
+_MAY_CHANGE = ("command", "versions")  # when a training is resumed
 
 
 class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
@@ -114,8 +114,8 @@ def train(
     environments take turns with what `worlds` are. A policy of branches may begin as the clone of an associator. Ctrl-C
     keeps what was learned.
 
-    Raises ValueError where the folder holds a training and is not to be resumed, or one of something else, and as
-    `load_hyperparameters`.
+    Raises ValueError where the folder holds a training and is not to be resumed, or one of something else; for a clone
+    that is to be resumed; and as `load_hyperparameters`.
     """
     out = training.output or Path(folder)
     hyper = load_hyperparameters(decision, training.hyperparameters or HYPERPARAMETERS)
@@ -124,6 +124,8 @@ def train(
     last = _last_model(out)
     if last is not None and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
+    if training.resume and associator is not None:
+        raise ValueError("--clone begins a training, --resume goes on with one: give one of them")
     if last is None and training.resume:
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower

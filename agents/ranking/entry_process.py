@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.drivers.base import ActionKind, Info, Observation, find_agent, legal_goals, make_agent
-from agents.evaluation.associators import find_associator
-from slam_gym.association import resolve_relocator
+from slam_gym.association import resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_hypothesis
@@ -184,7 +183,7 @@ def _load(role: str, name: str) -> tuple[dict[str, Any], Callable[..., Any]]:
     """An entry by name, `module:function`, `module:Class` or model file: the first message to the evaluator, about the
     entry, and the function that answers requests. Raises ValueError where there is none."""
     if role != "agent":
-        return {}, (find_associator if role == "associator" else resolve_relocator)(name)
+        return {}, (resolve_associator if role == "associator" else resolve_relocator)(name)
     model = Path(name).suffix == ".zip"
     if not model and not hasattr(find_agent(name), "act"):
         raise ValueError("it cannot act: give --role where it is no agent")

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from agents.evaluation.associators import find_associator
 from agents.suite import (
     MAX_DISTANCE,
     MAX_TURN,
@@ -22,7 +21,7 @@ from agents.suite import (
     problems,
     relocation_problems,
 )
-from slam_gym.association import ASSOCIATORS, resolve_relocator
+from slam_gym.association import ASSOCIATORS, resolve_associator, resolve_relocator
 from slam_gym.geometry import transform
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.simulation.judged import CEILING
@@ -127,7 +126,8 @@ def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
 
 def run(level, world, names, count):
     """The records of some names in a world of the train split."""
-    searches = {name: (resolve_relocator if level.startswith(RELOCATION) else find_associator)(name) for name in names}
+    resolve = resolve_relocator if level.startswith(RELOCATION) else resolve_associator
+    searches = {name: resolve(name) for name in names}
     return [{"name": name} | found for name, found in zip(names, evaluate(level, world, searches, count, "train"))]
 
 

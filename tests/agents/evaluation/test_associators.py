@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.evaluation.associators import SHIPPED, Metered, find_associator, metered
+from agents.evaluation.associators import SHIPPED, Metered, metered
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import by_name, by_setting
 from agents.options import Execution
 from agents.reports.pages import headline
-from slam_gym.association import ASSOCIATORS, nearest_neighbour
+from slam_gym.association import ASSOCIATORS, nearest_neighbour, resolve_associator
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.types import Effort, Hypothesis
 
@@ -71,10 +71,10 @@ def mine(scan, prediction):
 
 
 def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
-    assert find_associator("jcbb") is ASSOCIATORS["jcbb"] and callable(find_associator(f"{__name__}:mine"))
+    assert resolve_associator("jcbb") is ASSOCIATORS["jcbb"] and callable(resolve_associator(f"{__name__}:mine"))
     assert metered("true_association")[1] == "true_association"
     with pytest.raises(ValueError, match=r"nn.*jcbb"):
-        find_associator("nn")
+        resolve_associator("nn")
     assert sorted(SHIPPED) == sorted(ASSOCIATORS)
 
 
