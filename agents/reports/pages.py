@@ -247,10 +247,14 @@ FURTHER_LOG_COLUMNS = columns(
     "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
     "nodes", "microseconds", "step_microseconds", "limits",
 )  # fmt: skip
-LOG_CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
-least squares with the same pairings, the maximum-likelihood estimate for them.
-feat.: confirmed features; dupl.: further ones of a landmark; clut.: of no landmark.
-s: time of the whole log."""
+LOG_NOTES = {
+    "ate": "ATE, lm.: RMSE of positions, of landmarks [m], aligned.",
+    "ate_batch": "batch: by batch least squares with the same pairings, the maximum-likelihood estimate for them.",
+    "features": "feat.: confirmed features.",
+    "duplicates": "dupl.: further features of a landmark; clut.: of no landmark.",
+    "seconds": "s: time of the whole log.",
+}
+"""Column → what is said below a table that contains it."""
 
 
 def recordings_page(results: Results, folder: Path) -> Page:
@@ -276,7 +280,8 @@ def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
     for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS):
         filled = [column for column in shown if frame[column.key].notna().any()]
         rows = frame.set_index("name")[[column.key for column in filled]].astype(float).to_dict("index")
-        both.append(Table(title, "associator", filled, rows, LOG_CAPTION))
+        notes = [note for key, note in LOG_NOTES.items() if key in frame and frame[key].notna().any()]
+        both.append(Table(title, "associator", filled, rows, "\n".join(notes)))
     return [both[0], replace(both[1], title="", caption="", detail=True)]
 
 

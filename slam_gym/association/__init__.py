@@ -106,7 +106,8 @@ class _ReadOnlyScan:
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         hypothesis = self.associate(scan.read_only(), prediction)
         if not isinstance(hypothesis, Hypothesis):
-            raise ValueError(f"associator {self.associate!r}: returned {type(hypothesis).__name__}, not a Hypothesis")
+            name = getattr(self.associate, "__name__", repr(self.associate))
+            raise ValueError(f"associator {name}: returned {type(hypothesis).__name__}, not a Hypothesis")
         return hypothesis
 
 
