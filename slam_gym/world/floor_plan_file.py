@@ -30,7 +30,12 @@ _LARGEST = 1e9  # any number in a ROS map
 
 
 def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
-    """Write `plan` as JSON; `load_floor_plan` reads exactly the same numbers."""
+    """Write `plan` as JSON; `load_floor_plan` reads exactly the same numbers.
+
+    Raises FloorPlanError, before anything is written, for names that `load_floor_plan` refuses.
+    """
+    for field, name in (("name", plan.name), *(("room: name", room.name) for room in plan.rooms)):
+        _text(field, name)
     features = plan.features
     document = {
         "format": FORMAT,
