@@ -72,7 +72,8 @@ def main(
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
         ax = plot_path(poses, plot_map(m, figure.subplots()))
-        ax.set(title=f"{recording.name}: {len(table)} features by {associator}", xlabel="x [m]", ylabel="y [m]")
+        title = f"{recording.name}: {counted(len(table), 'feature')} by {associator}"
+        ax.set(title=title, xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
         joined = "1 map" if len(slam.maps) == 1 else f"{len(slam.maps)} maps that are not joined"
         print(f"{counted(len(table), 'feature')}, {joined}")

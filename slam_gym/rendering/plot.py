@@ -36,6 +36,8 @@ def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: f
     for chosen, colour in ((~m.provisional, BLUE), (m.provisional, GREY)):
         ax.plot(*m.positions[chosen].T, "o", ms=3.0, mfc="none", mec=colour, mew=0.9)
         _ellipses(ax, m.positions[chosen], m.covariances[chosen], colour, sigmas)
+    spread = sigmas * np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))  # whole ellipses are shown
+    ax.update_datalim(np.vstack([m.positions - spread, m.positions + spread]))
     x, y, heading = m.pose
     ax.plot(x, y, marker=(3, 0, np.degrees(heading) - 90.0), color=RED, ms=9)
     return ax
