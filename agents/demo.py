@@ -75,7 +75,7 @@ def main(
         resolve_associator(name)
     figure = Figure(figsize=(5.6 * len(names), 4.4), dpi=120, layout="constrained")
     formats = figure.canvas.get_supported_filetypes()
-    if output.suffix[1:] not in formats or not output.resolve().parent.is_dir():
+    if output.suffix[1:].lower() not in formats or not output.resolve().parent.is_dir():
         raise ValueError(f"--output {output}: expected a picture ({', '.join(formats)}) in a folder that exists")
     print(f"driving through {scenario}, world {seed} …", flush=True)
     speeds = one_drive(scenario, seed)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import nbformat
 import pytest
 import typer
@@ -253,11 +254,8 @@ def test_the_format_page_of_floor_plans_shows_one(tmp_path: Path) -> None:
     assert load_floor_plan(tmp_path / "plan.json").name == "two rooms"
 
 
-def test_readme_is_short() -> None:
+def test_readme_is_short_and_results_are_six_short_pages_with_their_plots() -> None:
     assert len(text_of(ROOT / "README.md").splitlines()) <= 100
-
-
-def test_results_are_six_short_pages_with_their_plots() -> None:
     pages = sorted((ROOT / "docs" / "results").glob("*.md"))
     assert len(pages) <= 6
     assert sum(len(text_of(page).split()) for page in pages) <= 4000
@@ -265,6 +263,20 @@ def test_results_are_six_short_pages_with_their_plots() -> None:
         for background in ("light", "dark"):
             plot = page.with_name(f"{page.stem}-{background}.svg")
             assert plot.is_file() and plot.name in text_of(page), "python docs/results/plots.py draws it"
+
+
+def test_pictures_are_small_and_shown_and_none_is_missing() -> None:
+    pages, folder = (
+        "\n".join(map(text_of, PAGES)) + (ROOT / "docs" / "hooks.py").read_text(),
+        ROOT / "docs" / "pictures",
+    )
+    for picture in folder.glob("*.png"):
+        assert picture.stat().st_size < 150_000, picture.name
+        assert picture.name in pages or picture.name.startswith(("scenario_", "small_")) or picture.stem in pages
+    names = [spec.name.lower() for spec in gym.registry.values() if spec.namespace == "slam_gym"]
+    for name in [*names, *(f"{size}_{scenario}" for scenario in SCENARIOS for size in ("scenario", "small"))]:
+        assert (folder / f"{name}.png").is_file(), f"python docs/pictures.py draws {name}.png"
+    assert (folder / "film.gif").stat().st_size < 2_000_000 and "film.gif" in text_of(ROOT / "README.md")
 
 
 # -- these checks can fail -------------------------------------------------------------------------------------------

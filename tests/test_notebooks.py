@@ -59,7 +59,7 @@ def row(shown: str, name: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", [row for row in rows if re.search(r"\d", row)][-1])]
 
 
-def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -> None:
+def test_committed_with_their_outputs_nothing_of_a_machine_and_running_from_a_wheel(committed: Any) -> None:
     assert len(nbformat.writes(committed)) < LARGEST
     assert committed.metadata.kernelspec.name == "python3"
     assert pictures(committed) >= 3
@@ -69,11 +69,15 @@ def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -
         assert cell.cell_type != "code" or cell.execution_count is not None
     for output in outputs(committed):
         assert output.output_type != "error" and output.get("name") != "stderr"
-
-
-def test_a_notebook_runs_from_an_installed_wheel(committed: Any) -> None:
     code = "\n".join(cell.source for cell in committed.cells if cell.cell_type == "code")
     assert not re.search(r"^ *(from|import) (agents|benchmarks|tests)\b", code, re.MULTILINE)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[:5], ids=lambda path: path.stem)
+def test_a_notebook_opens_with_what_comes_and_ends_with_exercises(path: Path) -> None:
+    cells = nbformat.read(path, as_version=4).cells
+    assert "**What you will see**" in cells[0].source and "**It takes**" in cells[0].source
+    assert cells[-1].source.count("<details><summary>Solution of") == 2 or "## Where next" in cells[-1].source
 
 
 @pytest.mark.slow

@@ -119,8 +119,7 @@ def test_learning_from_a_bad_measurement_changes_nothing(new) -> None:
 
 def test_a_prediction_is_of_no_use_once_the_map_has_changed() -> None:
     slam, scan = slam_of(), scan_of(SEEN)
-    slam.step(STILL, scan)
-    stale = slam.step(STILL, scan).prediction
+    *_, stale = (slam.step(STILL, scan).prediction for _ in range(2))
     for use in (lambda: jcbb(scan, stale), lambda: stale.local(np.arange(2)), lambda: stale.joint(np.arange(2))):
         with pytest.raises(RuntimeError, match="map has changed"):
             use()

@@ -16,34 +16,37 @@ RATES = densities.Rates(0.8, 0.07)
 MODEL = {"detection": RATES.detection, "density": RATES.density}
 
 
-def log_density(scan, prediction, rows):
-    return densities.log_density(scan, prediction, rows, RATES)
-
-
 def hypotheses(scan, prediction, allowed, given, related):
     """Every hypothesis that keeps `given`, most probable first: [(log density, rows)]."""
     every = densities.every_hypothesis(scan, prediction, allowed=allowed, given=given, related=related)
-    return sorted(((log_density(scan, prediction, rows), rows) for rows in every), reverse=True)
+    return sorted(((densities.log_density(scan, prediction, rows, RATES), rows) for rows in every), reverse=True)
 
 
-def check(answer, prediction, ranking):
-    """What is hardly in view from the predicted pose is not looked up again: hence the slack."""
-    best, rows = ranking[0]
-    features = [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in rows]
-    assert answer.features.tolist() == features
-    assert answer.posterior.log_density == pytest.approx(best, abs=5e-3)
-    shares = np.exp(np.array([density for density, _ in ranking]) - best)
-    shares /= shares.sum()
-    assert answer.posterior.probability == pytest.approx(shares[0], abs=2e-3)
-    alike = np.array([[j == rows[i] for i, j in enumerate(other)] for _, other in ranking]).reshape(len(ranking), -1)
-    assert answer.posterior.marginals == pytest.approx(shares @ alike, abs=2e-3)
-    second = (
-        [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]]
-        if len(ranking) > 1
-        else None
-    )
-    assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0, abs=2e-3)
-    assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
+def shares_of(ranking):
+    """The probability (h,) of each hypothesis, and their rows (h, m)."""
+    shares = np.exp(np.array([density for density, _ in ranking]) - ranking[0][0])
+    return shares / shares.sum(), np.array([rows for _, rows in ranking], int).reshape(len(ranking), -1)
+
+
+def check(answer, prediction, ranking, earlier=None):
+    """What is hardly in view from the predicted pose is not looked up again: hence the slack. `earlier` is the ranking
+    of a first search, whose pairings the second one keeps."""
+    shares, every = shares_of(ranking)
+    rows, probability, marginals = every[0], shares[0], shares @ (every == every[0])
+    second, runner_up = (every[1], shares[1]) if len(shares) > 1 else (np.full_like(rows, UNPAIRED), 0.0)
+    if earlier is not None:
+        first_shares, first = shares_of(earlier)
+        marginals = np.where(first[0] != UNPAIRED, first_shares @ (first == first[0]), marginals)
+        probability, runner_up = first_shares[0] * probability, first_shares[0] * runner_up
+        if len(first) > 1 and first_shares[1] > runner_up:
+            second, runner_up = first[1], first_shares[1]
+    features = np.append(prediction.features, UNPAIRED)  # row UNPAIRED is the last
+    assert answer.features.tolist() == features[rows].tolist()
+    assert answer.posterior.log_density == pytest.approx(ranking[0][0], abs=5e-3)
+    assert answer.posterior.probability == pytest.approx(probability, abs=2e-3)
+    assert answer.posterior.marginals == pytest.approx(marginals, abs=2e-3)
+    assert answer.posterior.runner_up_probability == pytest.approx(runner_up, abs=2e-3)
+    assert answer.posterior.runner_up.tolist() == features[second].tolist()
 
 
 @for_seeds(120)
@@ -62,26 +65,11 @@ def test_with_locality_what_is_near_is_decided_first(seed):
     scan, prediction = densities.bare_problem(500 + seed, locality=True)
     related = grouped(prediction, seed)
     prediction, near = densities.dressed(oracles.related_by(prediction, related), seed), prediction.near
-    ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
-    first, answer = ranking[0][1], map_hypothesis(scan, prediction, **MODEL, **WIDE)
-    lists = oracles.compatible(scan, prediction, 0.999)
+    ranking, earlier = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None), None
+    lists, first = oracles.compatible(scan, prediction, 0.999), ranking[0][1]
     if any(not near[j] for i, found in enumerate(lists) if first[i] == UNPAIRED for _, j in found):
-        of_first, rows_of_first = shares_of(ranking)
-        ranking = hypotheses(scan, prediction, ~near, first, related)
-        of_second, rows_of_second = shares_of(ranking)
-        rows, paired = rows_of_second[0], np.array(first) != UNPAIRED
-        marginals = np.where(paired, of_first @ (rows_of_first == rows), of_second @ (rows_of_second == rows))
-        assert answer.posterior.probability == pytest.approx(of_first[0] * of_second[0], abs=2e-3)
-        assert answer.posterior.marginals == pytest.approx(marginals, abs=2e-3)
-        assert answer.posterior.log_density == pytest.approx(ranking[0][0], abs=5e-3)
-    else:
-        check(answer, prediction, ranking)
-
-
-def shares_of(ranking):
-    """The probability (h,) of each hypothesis, and their rows (h, m)."""
-    shares = np.exp(np.array([density for density, _ in ranking]) - ranking[0][0])
-    return shares / shares.sum(), np.array([rows for _, rows in ranking])
+        ranking, earlier = hypotheses(scan, prediction, ~near, first, related), ranking
+    check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking, earlier)
 
 
 def grouped(prediction, seed):
