@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,13 +63,14 @@ def map_world(
 ) -> MappedWorld:
     """Let a robot explore a world, by nearest frontiers and then revisits, until the budget of the scenario is spent.
 
+    Nobody carries it away while it maps: no search would relocate it.
     Scans from outside come from the next world of `elsewhere` (default: of the scenario itself).
 
     The result depends on the arguments only. Raises ValueError for a world outside the split, and as `survey` does.
     """
     rng = np.random.default_rng((world_seed(split, world), 2))
     site = survey(scenario.generator(world_generator(split, world)), scenario)
-    episode = Episode(scenario, site, associator, rng)
+    episode = Episode(replace(scenario, kidnapping=None), site, associator, rng)
     _explore(episode)
     return MappedWorld(
         site,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import transform
+from slam_gym.scenarios import KidnappingSpec
 from slam_gym.simulation.relocation_problems import KNOWN, MappedWorld, kidnap, map_world
 from slam_gym.types import SPURIOUS, UNPAIRED
 from tests.rollouts import differences, short
@@ -25,6 +26,8 @@ def test_a_mapped_world_is_a_function_of_its_arguments() -> None:
     assert not differences(again.trail, mapped().trail)
     assert not differences(again.identities, mapped().identities)
     assert differences(mapped(1).trail, mapped().trail)
+    kidnapping = map_world(replace(SCENARIO, kidnapping=KidnappingSpec()), "train", 0, "jcbb")
+    assert not differences(kidnapping.trail, mapped().trail)  # nobody is carried away while he maps
     with pytest.raises(ValueError, match="world -1 of split 'train'"):
         map_world(SCENARIO, "train", -1, "jcbb")
 
