@@ -6,6 +6,7 @@ Python it is `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -15,6 +16,13 @@ from agents.cli import command
 from agents.options import AssociateWorld, Training, World
 
 QUICK = 400_000  # decisions
+
+
+def options_of(world: World | AssociateWorld, *names: str) -> str:
+    """The options `names` and the overrides that a command has got, as another command takes them."""
+    given = [(f"--{name.replace('_', '-')}", getattr(world, name)) for name in names]
+    given += [("--set", change) for change in world.overrides or ()]
+    return shlex.join(str(text) for option in given if option[1] is not None for text in option)
 
 
 def drive(
@@ -28,10 +36,9 @@ def drive(
 
     arguments = world.arguments("office-small", "train", reward)
     model = train(action, [arguments], training, "runs/drive")
-    where = f"--scenario {arguments.scenario}"
-    if arguments.floor_plan is not None:
-        where = f"--floor-plan {arguments.floor_plan}"
-        where += "" if arguments.resolution is None else f" --resolution {arguments.resolution}"
+    where = options_of(world, "floor_plan", "resolution", "associator", "relocation")
+    if arguments.floor_plan is None or world.scenario:
+        where = f"--scenario {arguments.scenario} {where}"
     print(f"wrote {model}; evaluate it beside the baselines with\n  slam-gym evaluate --model {model} {where}")
 
 
@@ -49,7 +56,7 @@ def associate(
     training = replace(training, timesteps=training.timesteps or QUICK) if quick else training
     weights = train("branch", worlds, training, "runs/associate", clone).with_name(WEIGHTS)
     driven = [name for each in worlds if (name := each.scenario) not in LOGS and not name.startswith("recording:")]
-    where = f"--scenario {' '.join(driven)}" if driven else "--suite"  # there are no drives in logs
+    where = f"--scenario {' '.join(driven)} {options_of(world)}" if driven else "--suite"  # no drives in logs
     print(f"wrote {weights}; compare it with the classical associators by\n"
           f"  slam-gym evaluate-association --associators jcbb marginal {weights} {where}")  # fmt: skip
 

@@ -23,7 +23,7 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPolicy
+from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy, MaskableMultiInputActorCriticPolicy
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -290,8 +290,13 @@ class PolicyAgent:
         try:
             policy = PPO.load(path, device="cpu").policy
         except (TypeError, KeyError, AssertionError):  # its policy takes masks
-            policy = MaskablePPO.load(path, device="cpu").policy
+            try:
+                policy = MaskablePPO.load(path, device="cpu").policy
+            except Exception as error:  # of another algorithm, or damaged
+                raise ValueError(f"model {path}: not of PPO or MaskablePPO ({error})") from None
         goal = isinstance(policy.action_space, spaces.Discrete)
+        if goal != isinstance(policy, MaskableActorCriticPolicy):
+            raise ValueError(f"model {path}: goals need MaskablePPO, and twists PPO")
         return cls(policy, "goal" if goal else "twist", deterministic=goal)
 
     def reset(self, seed: int) -> None:

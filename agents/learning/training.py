@@ -61,7 +61,7 @@ _MAY_CHANGE = ("command", "versions")  # when a training is resumed
 
 
 class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
-    """Resets go through the same few held-out worlds, again and again."""
+    """Resets go through the same few held-out worlds, again and again: `count` episodes are one in each of them."""
 
     def __init__(self, decision: Decision, arguments: Arguments, count: int) -> None:
         super().__init__(make(decision, replace(arguments, split="test")))
@@ -115,7 +115,7 @@ def train(
     keeps what was learned.
 
     Raises ValueError where the folder holds a training and is not to be resumed, or one of something else; for a clone
-    that is to be resumed; and as `load_hyperparameters`.
+    that is to be resumed; for more worlds than environments or held-out episodes; and as `load_hyperparameters`.
     """
     out = training.output or Path(folder)
     hyper = load_hyperparameters(decision, training.hyperparameters or HYPERPARAMETERS)
@@ -130,7 +130,10 @@ def train(
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower
     threadpool_limits(1)
-    watched = DummyVecEnv([partial(HeldOutWorlds, decision, each, training.eval_episodes) for each in worlds])
+    if (fewest := min(hyper.envs, training.eval_episodes)) < len(worlds):
+        raise ValueError(f"{len(worlds)} scenarios need as many --envs and --eval-episodes, not {fewest}")
+    held_out = [(training.eval_episodes + i) // len(worlds) for i in range(len(worlds))]  # as EvalCallback spreads them
+    watched = DummyVecEnv([partial(HeldOutWorlds, decision, *each) for each in zip(worlds, held_out)])
     known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
     about = About.of(
         watched.envs[0], decision, hyper, plain(known | {"command": command_line(), "versions": versions()})

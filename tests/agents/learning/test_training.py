@@ -11,6 +11,7 @@ import pytest
 import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 from typer.testing import CliRunner
 
@@ -25,10 +26,11 @@ from agents.learning.policies import (
     make_algorithm,
     read_about,
 )
-from agents.learning.training import ASTRAY, HELD_OUT, WEIGHTS, make, train
+from agents.learning.training import ASTRAY, HELD_OUT, WEIGHTS, HeldOutWorlds, make, train
 from agents.options import Training
 from agents.record_decisions import decisions
 from slam_gym.association.tracking.ppo import walk_by
+from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.geometry import compose
 from slam_gym.scenarios import SPLITS
@@ -107,6 +109,19 @@ def test_a_resumed_training_goes_on_from_its_weights_and_count(driver):
     assert (driver.parent / "progress_from_32.csv").exists()
 
 
+def test_every_evaluation_is_in_the_same_held_out_worlds(tmp_path, monkeypatch):
+    worlds, reset = [], ExploreEnv.reset
+    seen = lambda env, **how: worlds.append(how["options"]["world"]) or reset(env, **how)  # noqa: E731
+    monkeypatch.setattr(ExploreEnv, "reset", seen)
+    watched = DummyVecEnv([lambda: HeldOutWorlds("goal", DRIVE, 2)])
+    for _ in range(3):
+        before = len(worlds)
+        evaluate_policy(PPO("MultiInputPolicy", watched), watched, n_eval_episodes=2, warn=False)
+        assert set(worlds[before:][:2]) == {5000, 5001}
+    with pytest.raises(ValueError, match="2 scenarios need as many --envs"):
+        train("goal", [DRIVE, DRIVE], Training(output=tmp_path, envs=1), "nowhere")
+
+
 def test_a_folder_without_a_training_cannot_be_resumed(tmp_path):
     with pytest.raises(ValueError, match="no training to resume"):
         run(tmp_path, resumed=True)
@@ -180,6 +195,9 @@ def test_somebody_elses_zip_is_read_only_where_it_is_trusted(tmp_path, action):
     agent, env = make_agent("ppo", tmp_path / "model.zip", trust=True), DRIVE.make(action)
     observation, info = env.reset(seed=0)
     assert agent.action == action and env.action_space.contains(agent.act(observation, info))
+    PPO("MultiInputPolicy", DRIVE.make("goal"), n_steps=16).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"model.zip: goals need MaskablePPO"):
+        make_agent("ppo", tmp_path / "model.zip", trust=True)
 
 
 @pytest.mark.parametrize(
