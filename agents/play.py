@@ -171,9 +171,9 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
             game.relocating = not game.relocating
         elif wish is not None:
             return wish
+        count += 1
         if not ended:
             observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
-            count += 1
             if ended:
                 verdict = _verdict(game, world, info)
                 print(verdict)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import Metered
+from agents.evaluation.associators import Metered, models_of
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
 from agents.options import Suite
@@ -239,7 +239,7 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
             keys = [Key(each, level.id, world) for each in searches]
             tasks.append(Task(keys, partial(evaluate, level.id, world, searches, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
-    return Evaluation("suite", tasks, size)
+    return Evaluation("suite", tasks, size, {"models": models_of(associators)})
 
 
 def evaluate(setting: str, world: int, searches: Mapping[str, Any], count: int, split: str) -> list[Record]:

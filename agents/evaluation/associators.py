@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,12 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
         f"{name}{JOIN}{search}" if search and several else name: (name, search)
         for name in associators for search in relocations
     }  # fmt: skip
+
+
+def models_of(associators: Sequence[str]) -> dict[str, dict[str, str]]:
+    """The hash of each file of weights among the associators, for results.json."""
+    files = [name for name in associators if name.endswith(".npz")]
+    return {name: {"sha256": hashlib.sha256(Path(name).read_bytes()).hexdigest()} for name in files}
 
 
 class Metered:

@@ -12,8 +12,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.drivers.base import Agent, is_learned, make_agent
-from agents.evaluation.associators import Metered, contenders, metered
+from agents.drivers.base import Agent, is_learned, make_agent, visible
+from agents.evaluation.associators import Metered, contenders, metered, models_of
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem
@@ -78,9 +78,9 @@ def driver_evaluation(
     drivers: Sequence[Driver], loops: Sequence[ExploreArguments], episodes: Sequence[int]
 ) -> Evaluation:
     """The evaluation of every driver in every episode of every loop. Loads the models, and raises ValueError for
-    unknown names."""
-    for loop, action in product(loops, sorted({driver.make().action for driver in drivers})):
-        _warm_up(loop.make(action), episodes[0])
+    unknown names, and for a model that does not fit a loop."""
+    for loop in loops:
+        _warm_up(loop, drivers, episodes[0])
     tasks = [
         Task([Key(driver.agent, world_of(loop.plain), k, driver.model)], partial(drive, driver, loop, None, k))
         for loop, k, driver in product(loops, episodes, drivers)
@@ -90,11 +90,21 @@ def driver_evaluation(
     return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models})
 
 
-def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
-    """Compile the inner loops here once, instead of in every worker."""
-    env.reset(**reset_arguments(episode))
-    env.step(0 if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.sample())
-    env.close()
+def _warm_up(loop: ExploreArguments, drivers: Sequence[Driver], episode: int) -> None:
+    """Compile the inner loops here once, instead of in every worker, and let every model decide once. Raises
+    ValueError, naming it, for a model that does not fit the loop."""
+    agents = {driver: driver.make() for driver in drivers}
+    for action in sorted({agent.action for agent in agents.values()}):
+        env = loop.make(action)
+        observation, info = env.reset(**reset_arguments(episode))
+        for driver, agent in agents.items():
+            if driver.model and agent.action == action:
+                try:
+                    agent.act(observation, visible(info))
+                except ValueError as error:
+                    raise ValueError(f"model {driver.model}: does not fit {world_of(loop.plain)}: {error}") from None
+        env.step(0 if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.sample())
+        env.close()
 
 
 def _describe(model: Path) -> dict[str, Any]:
@@ -141,4 +151,5 @@ def associator_evaluation(
         call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
         tasks.append(Task([Key(name, setting, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
-    return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)
+    conditions = {"driver": driver, "relocation": list(relocations)} | shared
+    return Evaluation("associators", tasks, conditions, {"models": models_of(associators)})

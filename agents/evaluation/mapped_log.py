@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import contenders, metered
+from agents.evaluation.associators import contenders, metered, models_of
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem, write_whole
 from agents.options import Recorded
@@ -331,5 +331,5 @@ def recording_evaluation(
         for name, searches in contenders(associators, relocations).items()
         if searches[0] != CEILING or (log.sources != UNLABELLED).any()  # without labels it pairs nothing
     ]
-    settings = {log.name: asdict(slam_for(log)) for log in logs}
-    return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, {"settings": settings})
+    about = {"settings": {log.name: asdict(slam_for(log)) for log in logs}, "models": models_of(associators)}
+    return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, about)

@@ -188,6 +188,10 @@ def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | Non
     now = plain(evaluation.conditions) | {"evaluation": evaluation.kind, "slam_gym": slam_gym.__version__}
     if other := [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]:
         raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --output")
+    models = before.metadata.get("models", {})
+    for path, known in evaluation.about.get("models", {}).items():
+        if models.get(path, known)["sha256"] != known["sha256"]:
+            raise ValueError(f"{path} is not the file of which {out} holds results: give another --output")
     if not resume:
         raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --output")
     return before

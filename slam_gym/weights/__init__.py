@@ -7,17 +7,21 @@ MB, without unpickling; arrays must be finite and have the shapes that the calle
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._files import array_of, content_of, json_of, zip_members
+
+T = TypeVar("T")
 
 MAX_BYTES = 1 << 20  # of an archive, and of its unpacked content
 _FOLDER = Path(__file__).parent
@@ -75,6 +79,19 @@ def load(name: str | Path, version: int, inputs: tuple[str, ...], shapes: Mappin
     except (OSError, ValueError) as error:
         raise ValueError(f"weights {path.name}: {error}") from None
     return Weights(card, arrays)
+
+
+def cached(read: Callable[..., T]) -> Callable[..., T]:
+    """`read(weights, …)`, called again for the same arguments only where the file of the weights has changed."""
+    remembered = functools.cache(lambda _changed, *arguments: read(*arguments))
+
+    @functools.wraps(read)
+    def call(weights: str | Path, *arguments: Any) -> T:
+        is_file = str(weights).endswith(".npz") and os.path.exists(weights)
+        found: T = remembered(os.stat(weights).st_mtime_ns if is_file else 0, weights, *arguments)
+        return found
+
+    return call
 
 
 def write(path: Path, weights: Weights) -> None:

@@ -17,7 +17,6 @@ again.
 
 from __future__ import annotations
 
-import functools
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -30,7 +29,7 @@ from slam_gym.association.tracking.headings import Part
 from slam_gym.association.tracking.hypotheses import ScanProblem
 from slam_gym.association.tree import Pairings, innovation_of, squared
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, ScanArrays
-from slam_gym.weights import load
+from slam_gym.weights import cached, load
 
 VERSION = 1
 INPUTS = (
@@ -84,7 +83,7 @@ NO_NETWORK = Network(*(np.empty(shape) for shape in (0, 0, 0, 0, (0, 0), 0, (0, 
 """The network that adds no odds."""
 
 
-@functools.cache
+@cached
 def load_network(weights: str | Path, version: int, inputs: tuple[str, ...]) -> Network:
     """The network with shipped weights, or those of a `.npz` file, for inputs of that version. Raises ValueError as
     `slam_gym.weights.load`."""

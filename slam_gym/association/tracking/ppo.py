@@ -13,7 +13,6 @@ any number of them. It runs as plain numpy: no learning library is needed.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, MEASUREM
 from slam_gym.association.tracking.walk import COMPATIBILITIES
 from slam_gym.association.walks import ORDERS, Observation
 from slam_gym.types import Array, BoolArray, Hypothesis, Scan
-from slam_gym.weights import load
+from slam_gym.weights import cached, load
 
 VERSION = 2
 INPUTS = tuple(
@@ -76,7 +75,7 @@ def ppo(scan: Scan, prediction: Prediction, *, weights: str | Path = "ppo") -> H
     return walk_by(weights)(scan, prediction)
 
 
-@functools.cache
+@cached
 def walk_by(weights: str | Path) -> Associator:
     """The associator of weights that ship, by name, or of a `.npz` of one's own. Raises ValueError as
     `slam_gym.weights.load`, and where its arrays do not fit together."""

@@ -183,8 +183,8 @@ class Walk:
 
 def check_arguments(candidates: int, order: str, compatibility: str) -> None:
     """Raises ValueError, listing what is known, for arguments that no walk can have."""
-    if candidates < 1:
-        raise ValueError(f"candidates: {candidates} is less than 1")
+    if not (isinstance(candidates, int | np.integer) and candidates >= 1):
+        raise ValueError(f"candidates: expected a whole number >= 1, got {candidates!r}")
     if order not in ORDERS:
         raise ValueError(f"order={order!r}; known: {', '.join(ORDERS)}")
     if compatibility not in COMPATIBILITIES:

@@ -14,6 +14,8 @@ from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results, run_all
 from agents.options import Execution, Suite
 from agents.suite import suite_evaluation
+from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
+from slam_gym.weights import load, write
 from tests.agents.evaluation import timeless
 
 NEW, RESUMED = (Execution(jobs=1, resume=resume) for resume in (False, True))
@@ -96,6 +98,15 @@ def test_a_folder_belongs_to_one_evaluation(tmp_path):
         with pytest.raises(ValueError, match=said):
             carry_out(counting([task(1)], **changed), tmp_path / folder, how)
     assert not (tmp_path / "new").exists() and len(list((tmp_path / "other").iterdir())) == 1
+
+
+def test_a_model_that_has_changed_is_not_resumed(tmp_path):
+    write(tmp_path / "own.npz", load("ppo", VERSION, INPUTS, SHAPES))
+    names = [str(tmp_path / "own.npz")]
+    carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", NEW)
+    (tmp_path / "own.npz").open("ab").write(b"more")
+    with pytest.raises(ValueError, match=r"own.npz is not the file of which .*out holds results"):
+        carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", RESUMED)
 
 
 def test_a_folder_without_results_is_refused_by_name(tmp_path):

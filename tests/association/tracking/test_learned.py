@@ -1,6 +1,7 @@
 """What the learned associator does beyond `marginal`, and what it makes of weights."""
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from slam_gym import Slam, learned_associator, marginal
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking import ppo as ppo_weights
 from slam_gym.association.tracking.learned import WEIGHTS, examples
 from slam_gym.association.tracking.marginal import weigh
 from slam_gym.association.tracking.network import (
@@ -21,6 +23,7 @@ from slam_gym.association.tracking.network import (
     shapes_for,
 )
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
+from slam_gym.weights import load, write
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -125,6 +128,17 @@ def test_the_loops_are_the_formula(seed):
     inputs, measured, slots = 3.0 * rng.normal(size=(20, 7)), rng.integers(0, 6, 20), rng.integers(0, 9, 20)
     expected = by_formula(network, inputs, measured, slots)
     np.testing.assert_allclose(log_odds(network, inputs, measured, slots), expected, atol=1e-9)
+
+
+def test_weights_that_are_written_again_are_read_again(tmp_path):
+    path, (scan, prediction) = tmp_path / "own.npz", problem(1)
+    shipped = load("ppo", ppo_weights.VERSION, ppo_weights.INPUTS, ppo_weights.SHAPES)
+    found = []
+    for sign, when in ((1.0, 1), (-1.0, 2)):  # the branch of the least score in place of the greatest
+        write(path, shipped._replace(arrays=shipped.arrays | {"w": sign * shipped.arrays["w"]}))
+        os.utime(path, (when, when))
+        found.append(ppo_weights.ppo(scan, prediction, weights=path).features.tolist())
+    assert found[0] == ppo_weights.ppo(scan, prediction).features.tolist() != found[1]
 
 
 def test_weights_that_do_not_fit_each_other_are_refused():
