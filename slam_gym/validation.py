@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -79,10 +80,16 @@ def check_settings(settings: object) -> None:
     kind = type(settings).__name__
     for name, (least, greatest) in LIMITS[kind].items():
         value = getattr(settings, name)
-        if value is not None and not least <= value <= greatest:
+        if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= greatest):
             raise ValueError(
                 f"{kind}.{name}={value}: expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
             )
+
+
+def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:
+    """Raise ValueError, naming it, unless an argument is a number from 0 to `greatest`."""
+    if not (isinstance(value, int | float | np.number) and 0.0 <= value <= greatest):
+        raise ValueError(f"{name}={value!r}: expected a finite number from 0{f' to {greatest:g}' * (greatest < 1e9)}")
 
 
 @compiled

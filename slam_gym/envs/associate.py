@@ -26,7 +26,7 @@ from slam_gym.simulation.association_runs import (
 from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.types import UNPAIRED, Hypothesis
-from slam_gym.validation import one_of
+from slam_gym.validation import check_number, one_of
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ class AssociateSettings(Settings):
         one_of("reward", self.reward, ("truth", "map_error"))
         if not callable(self.driver):
             one_of("driver", self.driver, DRIVERS)
-        if not 0.0 <= self.wrong_cost < np.inf:
-            raise ValueError(f"wrong_cost={self.wrong_cost}: expected a finite number ≥ 0")
+        check_number("wrong_cost", self.wrong_cost)
 
 
 class AssociateEnv(BaseEnv):
@@ -78,6 +77,10 @@ class AssociateEnv(BaseEnv):
       it; of duplicates the oldest is right; a pairing with or of what has no label earns nothing.
     - `reward="map_error"`: the decrease of the map's error, as Explore scores it, when a scan has been learned from.
       Refused where nobody knows the true places of the features, as in most recordings; `map_error` stays 1 there.
+
+    ## Info
+    Free of the truth: `action_mask`, `hidden`, `look` (scans so far). Not for agents: `score` and `map_error` of the
+    episode so far, and `truth`: the right `action`, −1 where it is not on offer.
 
     ## Starting state
     A world drawn from the seeds of the `split`; `reset(options={"world": i})` takes the i-th. On the reference corridor

@@ -40,6 +40,9 @@ class Snapshot(NamedTuple):
 def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | None = None) -> Scenario:
     """A scenario, itself or by name, with `overrides` applied. Raises ValueError as `get_scenario` and `overridden`."""
     original = get_scenario(scenario) if isinstance(scenario, str) else scenario
+    for name, value, kind in (("scenario", original, Scenario), ("overrides", overrides or {}, Mapping)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: expected a {kind.__name__}, got {value!r}")
     return overridden(original, overrides) if overrides else original
 
 
@@ -115,6 +118,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode. `options={"world": i}` selects a world; any other option raises ValueError."""
+        if not isinstance(options or {}, Mapping):
+            raise ValueError(f"options: expected a dict, got {options!r}")
         options = dict(options or {})
         if unknown := set(options) - {"world"}:
             raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")

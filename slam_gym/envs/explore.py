@@ -21,7 +21,7 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.relocate import SEARCH, LocalityName, relocate_by
+from slam_gym.slam.relocate import LOCALITIES, SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Relocator
 from slam_gym.validation import one_of
 
@@ -56,6 +56,7 @@ class ExploreSettings(Settings):
         one_of("action", self.action, ("goal", "twist"))
         one_of("reward", self.reward, REWARDS)
         one_of("locality", self.locality, ("covisibility", None))
+        one_of("relocation_locality", self.relocation_locality, (*LOCALITIES, None))
         if not isinstance(self.atlas, bool | AtlasSpec):
             raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {self.atlas!r}")
         if self.relocation is None and self.relocation_locality not in ("covisibility", None):
@@ -88,6 +89,12 @@ class ExploreEnv(BaseEnv):
     ## Rewards
     The decrease, since the last step, of `map_error`, which uses the truth, or of `a_opt`, `d_opt` or `entropy` of a
     virtual map, which do not use it and therefore reward overconfidence: see `slam_gym.envs.explore.REWARDS`.
+
+    ## Info
+    Free of the truth: `action_mask`, the estimated `pose` (3,) in B, `ticks` of the step, `lost`, `missed_loop`. Not
+    for agents: `map_error`, `coverage`, the step's `pairings_right`, `pairings_wrong` and `pairings_missed`,
+    `pose_nees` (NaN in a second map), `map_quality` at the end, and `truth`: `pose` (3,) in W, and the `sources` of the
+    scan, −1 for spurious measurements and beyond the last one.
 
     ## Starting state
     A world drawn from the seeds of the `split` (with `floor_plan`, always that floor), and a random free pose in it.

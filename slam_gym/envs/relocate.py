@@ -20,9 +20,9 @@ from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
-from slam_gym.slam.relocate import LocalityName
+from slam_gym.slam.relocate import LOCALITIES, LocalityName
 from slam_gym.types import UNPAIRED, IntArray
-from slam_gym.validation import one_of
+from slam_gym.validation import check_number, one_of
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,12 @@ class RelocateSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one_of("locality", self.locality, ("covisibility", "two-hop covisibility", "distance", None))
-        if not 0.0 <= self.outside <= 1.0:
-            raise ValueError(f"outside={self.outside} is no probability")
+        one_of("locality", self.locality, (*LOCALITIES, None))
+        check_number("outside", self.outside, 1.0)
         if not (isinstance(self.kidnappings_per_map, int) and self.kidnappings_per_map >= 1):
             raise ValueError(f"kidnappings_per_map={self.kidnappings_per_map}: expected a whole number >= 1")
         for name in ("node_cost", "wrong_cost", "position_tolerance", "heading_tolerance"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}={getattr(self, name)}: expected a finite number >= 0")
+            check_number(name, getattr(self, name))
 
 
 class RelocateEnv(BaseEnv):
@@ -78,12 +76,18 @@ class RelocateEnv(BaseEnv):
     `slam_gym.association.relocation.observation` lists them.
 
     ## Rewards
-    −`node_cost` for every node and, at the end, a reward for the best hypothesis. The hypothesis is accepted if it has
-    as many pairings as `slam_gym.association.acceptance` requires and no other pose was found that explains as many
-    measurements. If accepted, it earns 1 for a right pose and −`wrong_cost` for a wrong one; otherwise the reward is 1
-    outside the map and 0 inside. A pose is right if it lies within `position_tolerance` and `heading_tolerance` of the
-    true pose in the map's frame. The rigid motion that aligns the true features in reach with their mapped counterparts
-    transforms the true pose to that frame, so that the map's drift does not count as an error of the agent.
+    −`node_cost` for every node of a step and, at the end, a reward for the best hypothesis. The hypothesis is accepted
+    if it has as many pairings as `slam_gym.association.acceptance` requires and no other pose was found that explains
+    as many measurements. If accepted, it earns 1 for a right pose and −`wrong_cost` for a wrong one; otherwise the
+    reward is 1 outside the map and 0 inside. A pose is right if it lies within `position_tolerance` and
+    `heading_tolerance` of the true pose in the map's frame. The rigid motion that aligns the true features in reach
+    with their mapped counterparts transforms the true pose to that frame, so that the map's drift does not count as an
+    error of the agent.
+
+    ## Info
+    Free of the truth: `action_mask`, `hidden`, `nodes` and `tries` so far, the `pairings` of the best hypothesis, how
+    many are `needed`, and whether it is `accepted`. Not for agents: `score` at the end (`right`, `wrong`, `nodes`), and
+    `truth`: `inside`, the `pose` (3,) in B (zeros outside), the `features` of the measurements, and the right `action`.
 
     ## Starting state
     A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside

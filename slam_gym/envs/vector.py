@@ -75,8 +75,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             max_episode_steps: number of steps after which an episode is `truncated`; None: never.
             **arguments: arguments of every single environment.
         """
-        if not (isinstance(num_envs, int) and num_envs >= 1):
-            raise ValueError(f"num_envs={num_envs}: expected a whole number >= 1")
+        for name, value, least in (("num_envs", num_envs, 1), ("workers", 0 if workers is None else workers, 0)):
+            if not (isinstance(value, int) and value >= least):
+                raise ValueError(f"{name}={value!r}: expected a whole number >= {least}")
 
         def make() -> gym.Env[Any, Any]:
             env: gym.Env[Any, Any] = of(**arguments)
@@ -110,13 +111,16 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         """Begin an episode in every world. World i has the seed `seed` + i, or `seed[i]` of a sequence.
 
         `options` are those of the single environment, in which `world` may be a sequence with one entry for each
-        world, and `reset_mask` (N,) bool, which selects the worlds to reset.
+        world, and `reset_mask` (N,) bool, which selects the worlds to reset, after the first reset.
         """
         options, count = dict(options or {}), self.num_envs
         mask = np.asarray(options.pop("reset_mask", np.ones(count, np.bool_)))
         if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(f"options['reset_mask']={mask}: expected {count} flags (bool), at least one of them true")
-        seeds = [seed + i for i in range(count)] if isinstance(seed, int | np.integer) else self._each("seed", seed)
+        if not (self._started or mask.all()):
+            raise ValueError(f"options['reset_mask']={mask}: the first reset is of all worlds")
+        seed = seed.tolist() if isinstance(seed, np.ndarray | np.integer) else seed
+        seeds = [seed + i for i in range(count)] if isinstance(seed, int) else self._each("seed", seed)
         worlds = self._each("options['world']", options.get("world"))
         each = [options if world is None else options | {"world": world} for world in worlds]
         resets = {i: {"seed": seeds[i], "options": each[i]} for i in np.flatnonzero(mask).tolist()}

@@ -54,9 +54,14 @@ class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordC
 class RecordEveryTick(gym.wrappers.RecordVideo):
     """Gymnasium's RecordVideo with a picture of every tick instead of every step, since a goal takes many ticks.
 
-    It has the arguments of RecordVideo, and needs an environment with `render_mode="rgb_array_list"`, whose `render`
-    returns the pictures of all ticks since the last call.
+    It has the arguments of RecordVideo. Raises ValueError for an environment without `render_mode="rgb_array_list"`,
+    whose `render` returns the pictures of all ticks since the last call.
     """
+
+    def __init__(self, env: gym.Env[Any, Any], *arguments: Any, **named: Any) -> None:
+        if env.render_mode != "rgb_array_list":
+            raise ValueError(f"RecordEveryTick: needs render_mode='rgb_array_list', not {env.render_mode!r}")
+        super().__init__(env, *arguments, **named)
 
     def _capture_frame(self) -> None:
         frames: Any = self.env.render()

@@ -101,6 +101,7 @@ def test_nothing_works_before_the_first_reset_and_says_so(name) -> None:
         ({"world": -1}, "world -1 of split 'train': expected a whole number 0 … 999999"),
         ({"world": SPLITS["train"][1]}, "world 1000000 of split"),
         ({"world": 0.5}, "world 0.5 of split"),
+        (["world"], r"options: expected a dict, got \['world'\]"),
     ],
 )
 @every_environment

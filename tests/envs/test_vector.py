@@ -117,7 +117,9 @@ def test_without_autoreset_an_ended_world_is_reset_by_hand_and_alone() -> None:
         envs.step(np.zeros((2, 2)))
         alone.step(np.zeros(2))
     mask = np.array([False, True])
-    observations, infos = envs.reset(seed=9, options={"reset_mask": mask})
+    with pytest.raises(ValueError, match="the first reset is of all worlds"):
+        small("Explore-v0", scenario=short(10)).reset(options={"reset_mask": mask})
+    observations, infos = envs.reset(seed=np.int64(9), options={"reset_mask": mask})
     assert infos["_ticks"].tolist() == [False, True]
     assert not differences({key: part[1] for key, part in observations.items()}, in_order(alone.reset(seed=10)[0]))
     for _ in range(10):

@@ -60,6 +60,7 @@ def test_masks_are_found_through_wrappers_and_made_from_specs_again():
     [
         (MaskInObservation, "Explore-v0", {"action": "twist"}, "masks are for discrete actions"),
         (lambda env: FlatObservation(FlatObservation(env)), "Explore-v0", {}, "expected a Dict"),
+        (lambda env: RecordEveryTick(env, "films"), "Explore-v0", {"render_mode": "rgb_array"}, "rgb_array_list"),
     ],
 )
 def test_what_cannot_be_wrapped_is_refused_by_name(wrap, name, options, said):
