@@ -17,8 +17,8 @@ hold for them as for all others, the rule for new features included.
 
 **Second map.** A robot that was lost for some scans goes on in a new map. It starts there at its pose by odometry, so
 that coordinates remain roughly those of B; in the new map, this pose is known exactly. The recent part of this map is
-searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative relation, the paired
-features are made equal, and the robot goes on in the joined map.
+searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative relation, in the
+base of the one that began first, the paired features are made equal, and the robot goes on in the joined map.
 
 **Ids** are unique over all maps and are never given twice; of features that are fused, the older id stays. The features
 of a map that becomes inactive are `removed` in the `SlamStep` of that moment, and `returned` when the map is joined.
@@ -198,7 +198,7 @@ class Atlas:
                 del self.inactive[position]
                 self._search_everywhere = True
                 self._recorded("maps", active.map.step, joined)
-                return joined._replace(became=joined.became[older.map.n :], returned=older.map.ids)
+                return joined._replace(returned=older.map.ids)
         return None
 
     def _recorded(self, kind: Literal["loop", "duplicates", "maps"], step: int, fusion: Fusion) -> Fusion:

@@ -28,7 +28,7 @@ from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, least_pairs, parts_of, recent_part, recognise
 from slam_gym.slam.places.verification import agreeing, attributes_agree, overlap
-from slam_gym.types import UNPAIRED, BoolArray, IntArray, Relocation
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Relocation
 
 _NOTHING = np.empty(0, np.int64)
 
@@ -48,6 +48,11 @@ class MappedArea(NamedTuple):
 
     map: StochasticMap
     covisibility: CovisibilityGraph
+
+    @property
+    def began(self) -> float:
+        """The id of the first feature: maps that began earlier have smaller ones. Infinite for an empty map."""
+        return float(self.map.ids.min(initial=np.iinfo(np.int64).max))
 
     def only(self, features: BoolArray) -> MappedArea:
         """A copy with the robot and those features (n,) alone."""
@@ -98,8 +103,11 @@ def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: Recognit
     area, second = MappedArea(m, graph), m.ids >= _first_of_copy(m, parts, found)
     older, newer = area.only(~second), area.only(second)
     joined = join_recognised(older, newer, recent_part(*newer, spec), anywhere)
-    order = np.where(second, older.map.n + np.cumsum(second) - 1, np.cumsum(~second) - 1)
-    return None if joined is None else joined._replace(became=joined.became[order])
+    if joined is None:
+        return None
+    became = np.arange(m.n)  # no feature of the older part is removed
+    became[~second], became[second] = np.arange(older.map.n), joined.became
+    return joined._replace(became=became)
 
 
 def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
@@ -117,44 +125,70 @@ def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
     return int(ids[first])
 
 
-def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
-    """Join two maps in the base of the older, if features `recent` (g,) of the newer are recognised in it; else None.
+class _Joined(NamedTuple):
+    """An inactive and the active map in one, not fused yet, and the index of the first feature of each."""
 
-    The features are those of the older map, then those of the newer; the robot is that of the newer. The relation of
-    the maps is determined by the pairs alone: they must have one shape under the covariance of both maps, and be most
-    of the features of both maps there. Neither map is changed.
+    area: MappedArea
+    inactive: int
+    active: int
+
+
+def _joined_at(inactive: MappedArea, active: MappedArea, base: Array) -> _Joined:
+    """Join in the base of the map that began first, with the base of the active map at the pose `base` in the other.
+
+    The features are those of the map that began first, then those of the other; the robot is that of the active map.
     """
-    a, b, among = older.map, newer.map, np.flatnonzero(~older.map.provisional)
+    a, b = inactive.map, active.map
+    if inactive.began < active.began:
+        graph = inactive.covisibility.followed_by(active.covisibility)
+        return _Joined(MappedArea(join_at(a, b, base), graph), 0, a.n)
+    graph = active.covisibility.followed_by(inactive.covisibility)
+    return _Joined(MappedArea(join_at(b, a, inverse(base), robot_of_a=True), graph), b.n, 0)
+
+
+def join_recognised(inactive: MappedArea, active: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
+    """Join two maps if features `recent` (g,) of the active map are recognised in the inactive one; else None.
+
+    The relation of the maps is determined by the pairs alone: they must have one shape under the covariance of both
+    maps, and be most of the features of both maps there. Neither map is changed. See `_joined_at` for the order of the
+    features; `became` is that of the active map.
+    """
+    among = np.flatnonzero(~inactive.map.provisional)
     enough = min(len(among), len(recent)) >= spec.min_pairs
-    found = recognise(b, recent, a, older.covisibility, among, spec) if enough else None
+    found = recognise(active.map, recent, inactive.map, inactive.covisibility, among, spec) if enough else None
     if found is None:
         return None
     paired = found.features != UNPAIRED
-    joined = join_at(a, b, found.pose)
-    pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
-    pairs = agreeing(joined, pairs, spec, prior=False)
+    joined = _joined_at(inactive, active, found.pose)
+    parts = Parts(joined.active + recent, joined.inactive + among)
+    pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
+    pairs = agreeing(joined.area.map, pairs, spec, prior=False)
     few = len(pairs) < least_pairs(len(among), spec)
-    if few or overlap(joined, Parts(a.n + recent, among), pairs) < spec.min_fraction:
+    if few or overlap(joined.area.map, parts, pairs) < spec.min_fraction:
         return None
-    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs)
+    return _fused(joined, pairs, active.map.n)
+
+
+def _fused(joined: _Joined, pairs: IntArray, n: int) -> Fusion:
+    """The fusion of pairs (k, 2) of joined maps, with `became` of the active map, of `n` features."""
+    fusion = fuse(*joined.area, np.sort(pairs, axis=1))
+    return fusion._replace(became=fusion.became[joined.active : joined.active + n])
 
 
 def join_relocated(
-    older: MappedArea, newer: MappedArea, found: Relocation, features: IntArray, spec: RecognitionSpec
+    inactive: MappedArea, active: MappedArea, found: Relocation, features: IntArray, spec: RecognitionSpec
 ) -> Fusion | None:
-    """As `join_recognised`, by one scan whose relocation `found` in the older map is known.
+    """As `join_recognised`, by one scan whose relocation `found` in the inactive map is known.
 
-    `features` (m,) are those of the newer map that the scan has updated or started, or UNPAIRED. The next relocation
+    `features` (m,) are those of the active map that the scan has updated or started, or UNPAIRED. The next relocation
     can correct a wrong one, but a wrong join is final: as many pairs, of one shape, are required as for a recent part.
     """
-    a, b = older.map, newer.map
-    joined = join_at(a, b, compose(found.pose, inverse(b.pose)))
+    joined = _joined_at(inactive, active, compose(found.pose, inverse(active.map.pose)))
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
-    pairs = np.column_stack([found.features[paired], a.n + features[paired]])
-    pairs = agreeing(joined, pairs, spec, prior=False)
-    if len(pairs) < least_pairs(a.n, spec):
-        return None
-    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs)
+    pairs = np.column_stack([joined.inactive + found.features[paired], joined.active + features[paired]])
+    pairs = pairs[np.unique(pairs[:, 1], return_index=True)[1]]  # two measurements may have updated one feature
+    pairs = agreeing(joined.area.map, pairs, spec, prior=False)
+    return None if len(pairs) < least_pairs(inactive.map.n, spec) else _fused(joined, pairs, active.map.n)
 
 
 def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:
@@ -168,7 +202,8 @@ def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> 
         column = int(D[row].argmin())
         one, other = int(recently_seen[row]), int(established[column])
         alike = attributes_agree(m, np.array([one]), np.array([other])).all()
-        if other not in graph.neighbours(one) and alike:
+        rivals = np.isfinite(m.distances_between(np.array([other]), established, _INFLATION**2 * gate)).sum()
+        if other not in graph.neighbours(one) and alike and rivals == 1:
             compatible[min(one, other), max(one, other)] = bool(D[row, column] < gate)
     candidates = _one_to_one(np.array(list(compatible), np.int64).reshape(-1, 2))
     pairs = [pair for pair in candidates.tolist() if _are_one(m, graph, pair, candidates, compatible[tuple(pair)])]

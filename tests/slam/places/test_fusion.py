@@ -17,8 +17,11 @@ SIGMA = 0.05
 SPEC = RecognitionSpec()
 
 
-def try_to_join(first: Array, second: Array, seed: int) -> tuple[Fusion | None, StochasticMap, StochasticMap]:
-    """A map of the points `first`, and one of `second` as seen from a robot elsewhere, that begins at (30 m, 5 m)."""
+def try_to_join(
+    first: Array, second: Array, seed: int, *, back: bool = False
+) -> tuple[Fusion | None, StochasticMap, StochasticMap]:
+    """A map of the points `first`, and one of `second` as seen from a robot elsewhere, that begins at (30 m, 5 m). The
+    second is active, or the first if the robot is `back` in it."""
     rng = np.random.default_rng((9, seed))
     a = StochasticMap(MapSpec(unconfirmed_age=None))
     graph_a, graph_b = CovisibilityGraph(), CovisibilityGraph()
@@ -26,7 +29,10 @@ def try_to_join(first: Array, second: Array, seed: int) -> tuple[Fusion | None, 
     b = a.successor()
     b.place(np.array([30.0, 5.0, 1.0]), np.zeros((3, 3)))
     enter(b, graph_b, second, rng, SIGMA)
-    return join_recognised(MappedArea(a, graph_a), MappedArea(b, graph_b), np.arange(b.n), SPEC), a, b
+    inactive, active = MappedArea(a, graph_a), MappedArea(b, graph_b)
+    if back:
+        inactive, active = active, inactive
+    return join_recognised(inactive, active, np.arange(b.n), SPEC), a, b
 
 
 def apart(rng: np.random.Generator, count: int) -> Array:
@@ -55,11 +61,23 @@ def test_the_robot_is_where_it_is_within_its_covariance_and_ids_and_graph_are_va
         assert is_covariance(m.covariance) and joined.covisibility.n == m.n == a.n + b.n - len(joined.ids)
         assert len(np.unique(m.ids)) == m.n
         assert (a.n, b.n) == (30, 14) and not a.pose.any()  # neither map is changed
-        np.testing.assert_array_equal(m.ids[joined.became[: a.n]], a.ids)
+        kept = dict(joined.ids[:, ::-1].tolist())
+        np.testing.assert_array_equal(m.ids[joined.became], [kept.get(number, number) for number in b.ids.tolist()])
         error = relative(pose, m.pose)
         distances.append(error @ np.linalg.solve(m.pose_covariance, error))
         assert np.hypot(*error[:2]) < 0.2 and abs(error[2]) < 0.05
     assert np.mean(distances) < 3.0 + 4.0 * np.sqrt(6.0 / len(distances))  # χ²₃, four standard errors of the mean
+
+
+def test_maps_are_joined_in_the_base_of_the_one_that_began_first() -> None:
+    points, pose = apart(np.random.default_rng(0), 30), np.array([1.0, -2.0, 2.0])
+    joined, a, b = try_to_join(points, seen_from(pose, points[:14]), 0, back=True)
+    assert joined is not None
+    m = joined.map
+    np.testing.assert_array_equal(m.ids[joined.became], a.ids)
+    assert m.n == a.n and sorted(joined.ids[:, 1].tolist()) == b.ids.tolist()
+    np.testing.assert_allclose(m.pose, a.pose, atol=1e-9)  # the robot has not moved
+    assert np.hypot(*(m.positions - points).T).max() < 0.1 and is_covariance(m.covariance)
 
 
 def test_other_ground_and_mirror_images_are_not_recognised() -> None:
@@ -89,6 +107,8 @@ def test_a_scan_that_is_found_in_the_older_map_joins_them_too() -> None:
         joined = join_relocated(*areas, found, features, SPEC)
         assert joined is not None and is_covariance(joined.map.covariance)
         np.testing.assert_array_equal(joined.ids[:, 0], joined.ids[:, 1] - 30)
+        twice = np.where(np.arange(12) == 11, features[10], features)  # two measurements have updated one feature
+        assert len(join_relocated(*areas, found, twice, SPEC).ids) == len(joined.ids) - 1
         few = np.where(np.arange(12) < 7, features, UNPAIRED)
         assert join_relocated(*areas, found, few, SPEC) is None
         error = relative(pose, joined.map.pose)
@@ -163,6 +183,20 @@ def test_a_third_feature_in_the_gate_leaves_it_open() -> None:
         m.end_of_step()
         m.update(Scan.from_points([[1.0, 1.0]], sigma=SIGMA), third)
     assert len(find_duplicates(m, graph, 10)) == 0
+
+
+def test_a_rival_of_the_partner_leaves_it_open_too() -> None:
+    """A third feature is in the gate of the second alone, and was not seen lately."""
+    pairs = []
+    for third in (1.2, 3.0):
+        m, graph = seen_in_turns(np.random.default_rng(0), 5, np.array([1.0, 1.0]), np.array([1.05, 1.0]))
+        far = m.add(Scan.from_points([[third, 1.0]], sigma=SIGMA), np.array([0]))
+        graph.add(1)
+        for _ in range(2):
+            m.end_of_step()
+            m.update(Scan.from_points([[third, 1.0]], sigma=SIGMA), far)
+        pairs.append(find_duplicates(m, graph, 3).tolist())
+    assert pairs == [[], [[5, 6]]]
 
 
 def test_duplicates_that_were_not_seen_lately_wait() -> None:
