@@ -238,9 +238,10 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     sizes = np.sqrt(np.linalg.det(blocks))
     everywhere = _others_in_gates(state[3 : 3 + 2 * n].reshape(n, 2), gate * sizes)
     confirmed = prediction.positions[~prediction.provisional]
-    differences = confirmed[:, None] - confirmed[None]
+    sample = confirmed[:: max(len(confirmed) // _SPACED, 1)]
+    differences = sample[:, None] - confirmed[None]
     squared = np.einsum("abi,kij,abj->kab", differences, np.linalg.inv(blocks), differences)
-    in_reach = (squared < gate).sum(axis=(1, 2)) / max(len(confirmed), 1) - 1.0
+    in_reach = (squared < gate).sum(axis=(1, 2)) / max(len(sample), 1) - 1.0
     others = np.maximum(everywhere, in_reach)
     return _log_expected_sets(len(features) - len(near), float(log_det), others, sizes, prediction.confidence)
 

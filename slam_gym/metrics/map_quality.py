@@ -69,13 +69,14 @@ def error_of(estimated: Array, index: Index) -> float:
 
 
 def map_error_aligned(estimated: Array, true: Array, sigma0: float, known: tuple[Array, Array] | None = None) -> float:
-    """The least `map_error` over all rigid motions of the map: its error independent of the frame.
+    """The least `map_error` over rigid motions of the map, by local search: its error independent of the frame.
 
     The orientation of the frame of the first pose is only known as well as the first scans determine it, and over 200 m
     an error of 0.01 rad alone uses up all of E. It cannot be a reward, as the best motion is only known at the end.
 
     The initial motions are the identity, the robust alignment of `known` correspondences (k points of the map, and the
     k true points), and the alignment by optimal assignment that follows from either; a local search refines the best.
+    Without `known`, the frames must already agree within about `sigma0`.
     Raises ValueError as `map_error`, and as `align_se2` for `known`.
     """
     raw = map_error(estimated, true, sigma0)
@@ -173,6 +174,8 @@ def align_se2(source: Array, target: Array) -> Array:
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     a, b = source - source_mean, target - target_mean
     heading = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    if any(np.abs(d).max() <= 1e-12 * np.abs(points).max() for d, points in ((a, source), (b, target))):
+        heading = 0.0  # nothing but rounding
     turned = transform(np.array([0.0, 0.0, heading]), source_mean[None])[0]
     return np.array([*(target_mean - turned), heading])
 

@@ -74,7 +74,7 @@ class LocalMapSlam:
         self._graphs = [self.slam.covisibility]  # of each local map
         self._first_ids = [0]  # smallest id that each local map can give
         self._correspondences = _Correspondences(match or jointly_compatible)  # of closed maps, updated on demand
-        self._names: list[IntArray] = []  # of the features of each map, as of the last join
+        self._covisible_names: list[IntArray] = []  # (e, 2) of each map, as of the last join
         self._is_last_step = False  # the next step closes the current map, whether it is full or not
         self._is_closed = False  # the next step begins a new map
 
@@ -151,8 +151,9 @@ class LocalMapSlam:
             self._correspondences.add(self.maps)
         with_current = copy.deepcopy(self._correspondences)
         with_current.add(self.maps)
-        self._names = with_current.names
-        return self._names
+        names = with_current.names
+        self._covisible_names = [of[graph.edges().pairs].reshape(-1, 2) for of, graph in zip(names, self._graphs)]
+        return names
 
     def map_of(self, m: StochasticMap | Smoothed) -> IntArray:
         """(n,) index of the local map in which each feature of a joined map was first seen."""
@@ -168,8 +169,7 @@ class LocalMapSlam:
 
         `m` must be the map that was joined last. Raises ValueError where it holds other features.
         """
-        covisible_ids = [names[graph.edges().pairs].reshape(-1, 2) for names, graph in zip(self._names, self._graphs)]
-        ids = np.concatenate([np.empty((0, 2), np.int64), *covisible_ids])
+        ids = np.concatenate([np.empty((0, 2), np.int64), *self._covisible_names])
         if not np.isin(ids, m.ids).all():
             raise ValueError("m: not the map that was joined last")
         rows = np.sort(np.searchsorted(m.ids, ids), axis=1)

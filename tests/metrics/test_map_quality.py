@@ -92,6 +92,11 @@ def test_alignment_recovers_a_rigid_motion_and_beats_its_neighbours(seed):
         assert landmark_rmse(transform(best + nudge, points), noisy) >= least
 
 
+def test_points_at_one_place_have_no_heading():
+    for value in (0.1, 1.0 / 3.0, -7.7):
+        assert align_se2(np.full((3, 2), value), np.random.default_rng(0).normal(size=(3, 2)))[2] == 0.0
+
+
 def test_the_local_error_sees_the_shape_and_not_the_frame():
     rng = np.random.default_rng(0)
     points, pairs = rng.uniform(-50, 50, (10, 2)), np.array([[0, 1], [2, 5], [8, 9]])

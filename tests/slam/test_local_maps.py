@@ -13,7 +13,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.local_maps import LocalMapSlam, Match, jointly_compatible
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import Array, IntArray, Odometry, Scan
 from slam_gym.world import corridor
 from tests.oracles.association import gate
@@ -136,6 +136,8 @@ def test_covisibility_goes_over_into_the_joined_map() -> None:
     assert len(once) > 80
     np.testing.assert_array_equal(found[np.ix_(once, once)], expected[np.ix_(once, once)])
     assert locality_sizes(run.slam.covisible(joined, hops=2), joined.n).mean() > found.sum(axis=1).mean()
+    run.slam.step(STILL, Scan.from_points([[90.0, 90.0], [80.0, 80.0]], sigma=0.1))  # what is new is in no joined map
+    np.testing.assert_array_equal(run.slam.covisible(joined).members, locality.members)
     joined.remove(np.array([0]))
     with pytest.raises(ValueError, match="m: not the map"):
         run.slam.covisible(joined)

@@ -41,6 +41,7 @@ from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Sca
 
 _WITHIN = 23  # features within reach of each feature; more in small maps
 _SAMPLE = 200  # features sampled to determine the reach
+_LEAST_REACH = 1e-3  # [m]
 _TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # maximum in any map, or for each feature
 _NEAREST = 24  # neighbours relative to which the error of a feature is taken, every other one of them
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
@@ -175,9 +176,10 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
     noise = max(noise, reach / 400.0)
     quantum = max(5.0 * noise, reach / 32.0)
     while True:  # reduce the reach where features are dense
-        if n == 0 or tree.count_neighbors(tree, reach) <= 4 * _WITHIN * most / _TRIANGLES_EACH:
+        is_least = reach < _LEAST_REACH  # features at one place have as many triangles within any reach
+        if n == 0 or is_least or tree.count_neighbors(tree, reach) <= 4 * _WITHIN * most / _TRIANGLES_EACH:
             cells, corners, sides = _triangles(mapped, _neighbours(tree, reach), quantum, reach, most)
-            if len(cells) <= most:
+            if len(cells) <= most or is_least:
                 break
         reach *= 0.9
     order = np.argsort(cells, kind="stable")
@@ -193,7 +195,7 @@ def _usual_reach(tree: cKDTree, most: int) -> float:
         return 11.0
     near = min(int(_WITHIN * math.sqrt(most / (_TRIANGLES_EACH * tree.n))), tree.n - 1)
     distances = tree.query(tree.data[:: max(tree.n // _SAMPLE, 1)], k=near + 1)[0]
-    return max(float(np.median(distances[:, near])), 1e-3)
+    return max(float(np.median(distances[:, near])), _LEAST_REACH)
 
 
 def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:

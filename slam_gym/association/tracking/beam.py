@@ -289,6 +289,7 @@ def _select(
                 selected += 1
     full, next_half = selected > width, 1 - now
     threshold = np.partition(scores[:selected], selected - width)[selected - width] if full else least
+    ties = width - np.count_nonzero(scores[:selected] > threshold)  # so many hypotheses that score just the threshold
     capacity, count_after, selected = len(joined.pairings), used + min(selected, width), 0
     if count_after > capacity:
         N, old = 2 * count_after, joined
@@ -299,6 +300,10 @@ def _select(
         for k in range(1 + last - first):
             if selected == width or not offered[b, k] >= threshold or offered[b, k] == -math.inf:
                 continue
+            if full and offered[b, k] == threshold:
+                if ties == 0:
+                    continue
+                ties -= 1
             for q in range(p):
                 made[next_half, selected, q], nodes[next_half, selected, q] = made[now, b, q], nodes[now, b, q]
             score[next_half, selected], count[next_half, selected] = offered[b, k], p

@@ -87,6 +87,8 @@ def _search(
             level -= 1
             continue
         if nodes == node_limit:
+            if made[level] > best:
+                best_path = path[: made[level]].copy()
             break
         c, p = trial[level], made[level]
         trial[level] += 1

@@ -52,7 +52,7 @@ def learned_associator(
 
     Raises ValueError as `marginal`, and as `load_network` where there are no such weights.
     """
-    if not (prediction.has_view or np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any()):
+    if not (prediction.has_view or np.isfinite(scan.size_variances).any() or (scan.kinds != UNKNOWN_KIND).any()):
         return marginal(scan, prediction, cost=cost)
     network = load_network(weights, VERSION, INPUTS)
     provisional = min(cost, provisional_cost)

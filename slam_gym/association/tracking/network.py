@@ -189,9 +189,9 @@ def _of_pairing(scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: 
     i, j, e = pairings.measured[c], rows[pairings.slots[c]], innovation_of(pairings, c)
     _, _, measured_sizes, measured_variances, measured_kinds = scan
     R, distance = pairings.noise[i], squared(e)
-    size, sizes_known = 0.0, not (math.isnan(measured_sizes[i]) or math.isnan(expected.sizes[j]))
+    variance, difference = measured_variances[i] + expected.size_variances[j], measured_sizes[i] - expected.sizes[j]
+    size, sizes_known = 0.0, not (math.isnan(variance) or math.isnan(difference))
     if sizes_known:
-        variance, difference = measured_variances[i] + expected.size_variances[j], measured_sizes[i] - expected.sizes[j]
         variance = max(variance, 1e-6)
         size = max(-0.5 * (difference * difference / variance + math.log(2.0 * math.pi * variance)), _LEAST_SIZE)
     kinds_known = measured_kinds[i] != UNKNOWN_KIND and expected.kinds[j] != UNKNOWN_KIND

@@ -51,8 +51,9 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
     """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,). The
     fixed pairings are kept."""
     first, count, best, best_sum = root_of(pairings), len(order), order[:0], math.inf
+    order = order[first.added[order] < gate]  # of old features, some disagree with the pairings that are fixed
     required, drawn = math.inf, 0
-    while drawn < min(required, tries, count):
+    while drawn < min(required, tries, len(order)):
         anchor, drawn = order[drawn : drawn + 1], drawn + 1
         node, total = add_pairing(pairings, first, anchor[0], pairings.fixed), first.added[anchor[0]]
         others = _nearest_first(pairings, node, anchor, gate)

@@ -283,6 +283,7 @@ def test_crowds_and_far_outliers_leave_the_tables_small():
     index = FeatureIndex(landmarks_at(crowd))
     table = index._hash
     assert len(table.corners) <= 64 * len(crowd) and table.raster.steps.nbytes < 1024 * len(crowd)
+    FeatureIndex(landmarks_at(np.concatenate([field(rng, 40), np.full((400, 2), 3.0)])))  # at one place: it ends
 
 
 def test_bad_input_is_refused_by_name():

@@ -121,3 +121,5 @@ def test_ipjc_reports_its_node_limit():
     stopped = ipjc(scan, prediction, node_limit=10)
     assert not free.effort.limit_hit and free.effort.nodes > 10
     assert stopped.effort.limit_hit and stopped.effort.nodes == 10
+    pairings = [ipjc(scan, prediction, node_limit=limit).pairings for limit in range(1, 9)]
+    assert pairings == sorted(pairings) and pairings[0] == 1  # the best hypothesis so far

@@ -97,6 +97,14 @@ def test_where_places_are_all_there_is_marginal_decides_alone(told):
     assert (differ == 0) == (told == "nothing")
 
 
+def test_a_size_without_its_variance_is_no_size():
+    scan, prediction = problem(1)
+    uncertain = dataclasses.replace(scan, size_variances=np.full(8, np.nan))
+    unknown = dataclasses.replace(uncertain, sizes=np.full(8, np.nan))
+    answers = [learned_associator(each, prediction).posterior for each in (uncertain, unknown)]
+    np.testing.assert_array_equal(answers[0].unpaired, answers[1].unpaired)
+
+
 def test_cost_is_that_of_marginal():
     scan, prediction = problem(1)
     cheap, dear = learned_associator(scan, prediction, cost=1.0), learned_associator(scan, prediction, cost=1e4)

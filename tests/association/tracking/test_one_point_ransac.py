@@ -32,6 +32,8 @@ def one_point(scan, prediction, confidence, allowed, given, related):
 
     best = (0, 0.0, [])
     for a in candidates:
+        if oracles.conditioned(scan, prediction, base, a) >= gate:
+            continue  # it disagrees with the pairings that are given
         distances = {
             c: oracles.conditioned(scan, prediction, [*base, a], c) for c in others(a) if c[0] != a[0] and c[1] != a[1]
         }

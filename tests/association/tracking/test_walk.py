@@ -99,7 +99,8 @@ def test_an_illegal_action_and_one_at_a_leaf_are_refused():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"candidates": 0}, "candidates: 0"),
+        ({"candidates": 0}, "candidates: expected a whole number"),
+        ({"candidates": 2.5}, "candidates: expected a whole number"),
         ({"order": "by_luck"}, "as_scanned"),
         ({"compatibility": "none"}, "joint, individual"),
     ],
