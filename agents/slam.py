@@ -1,9 +1,9 @@
 """SLAM on a user's log: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
 
-LOG.map.csv     id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame of the
-                first pose
+LOG.map.csv     map, id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame of the
+                first pose; map 0 is the one that the robot is in, others were begun when it was lost
 LOG.path.tum    the robot's pose at every step, for evo and other tools
-LOG.png         features with ellipses of two standard deviations, and the path
+LOG.png         features with ellipses of two standard deviations, and the path; maps that are not joined overlap
 """
 
 from __future__ import annotations
@@ -64,18 +64,25 @@ def main(
         slam, poses, doubted = run(recording, associator, search_of(relocation))
         base = recording.name.replace("/", "-")
         files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
-        m = slam.map
-        deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
-        columns = np.column_stack([m.ids, m.positions, deviations, m.seen])[~m.provisional]
-        table = pd.DataFrame(columns, columns=["id", "x", "y", "sigma_x", "sigma_y", "sightings"])
-        table.astype({"id": int, "sightings": int}).to_csv(files[0], index=False, float_format="%.6g")
+        columns = []
+        for number, m in enumerate(slam.maps):
+            deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
+            of_map = np.full(m.n, number)
+            columns.append(np.column_stack([of_map, m.ids, m.positions, deviations, m.seen])[~m.provisional])
+        names = ["map", "id", "x", "y", "sigma_x", "sigma_y", "sightings"]
+        table = pd.DataFrame(np.concatenate(columns), columns=names).astype({"map": int, "id": int, "sightings": int})
+        table.to_csv(files[0], index=False, float_format="%.6g")
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
-        ax = plot_path(poses, plot_map(m, figure.subplots()))
+        ax = plot_path(poses, figure.subplots())
+        for m in slam.maps[::-1]:
+            plot_map(m, ax)
         title = f"{recording.name}: {counted(len(table), 'feature')} by {associator}"
         ax.set(title=title, xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
-        joined = "1 map" if len(slam.maps) == 1 else f"{len(slam.maps)} maps that are not joined"
+        joined = "1 map"
+        if len(slam.maps) > 1:
+            joined = f"{len(slam.maps)} maps that are not joined: the robot was lost, or the sigmas are too small"
         print(f"{counted(len(table), 'feature')}, {joined}")
         if slam.tracker is not None and (doubted or slam.tracker.slips):
             slips = counted(slam.tracker.slips, "time")

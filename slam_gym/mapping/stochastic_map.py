@@ -25,6 +25,7 @@ from slam_gym.mapping.update import update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 from slam_gym.validation import check_settings
 
+_LARGEST_FILE = 1 << 30  # [bytes] of a map
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
 
 
@@ -306,8 +307,11 @@ class StochasticMap:
         return m
 
     def save(self, path: str | Path) -> None:
-        """Write the contents of the map and its settings into an .npz file."""
+        """Write the contents of the map and its settings into an .npz file. Raises ValueError for a map of more than
+        1 GB, some 5 700 features."""
         parts = {field.name: getattr(self.state, field.name) for field in fields(MapState)}
+        if self.state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
+            raise ValueError(f"{path}: a map of {self.n} features is too large for a file")
         with Path(path).open("wb") as file:
             np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)
 
@@ -318,8 +322,9 @@ class StochasticMap:
         Raises OSError for a file that cannot be read, ValueError for one that is damaged or does not contain a map.
         """
         try:
-            members = zip_members(Path(path))
-            state: dict[str, Any] = {field.name: array_of(members[field.name], "fi") for field in fields(MapState)}
+            members = zip_members(Path(path), _LARGEST_FILE)
+            names = [field.name for field in fields(MapState)]
+            state: dict[str, Any] = {name: array_of(members[name], "fi", _LARGEST_FILE) for name in names}
             state |= {name: int(state[name]) for name in ("step", "next_id")}
             spec = MapSpec(**json.loads(str(array_of(members["spec"], "U"))))
             return cls.of_state(spec, MapState(**state))

@@ -76,7 +76,7 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
             sizes=scan.sizes,
             size_variances=scan.size_variances,
             sources=np.where(np.isnan(sources), UNLABELLED, sources).astype(np.int64),
-            range=float(distances.max()) if range is None else range,
+            range=max(float(distances.max()), 1e-9) if range is None else range,
             field_of_view=min(2.0 * float(widest), 2.0 * math.pi) if field_of_view is None else field_of_view,
         )
 
@@ -89,6 +89,8 @@ def _table(text: str) -> dict[str, Array]:
     for name in ("time", *MOTION, *measured):
         if name not in names:
             raise RecordingError(f"column {name!r} is missing; there are {', '.join(names) or 'none'}")
+    if len(set(names)) < len(names):
+        raise RecordingError(f"a column is there twice: {', '.join(names)}")
     reader.fieldnames = names
     known = ("time", *MOTION, *measured, *(f"sigma_{name}" for name in (*MOTION, *measured)), *_OPTIONAL)
     if unknown := sorted(set(names) - set(known)):
@@ -132,7 +134,11 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
         "column 'time' descends": np.diff(time, prepend=time[:1]) < 0.0,
         f"only one of {measured[0]!r} and {measured[1]!r} is given": pair,
         "column 'source' is no integer": ~np.isnan(source) & (source != np.round(source)),
+        "column 'source' is below -2": source < UNLABELLED,
+        "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
     }
+    for name in ("turn", "bearing"):
+        refused[f"column {name!r} [rad] is more than a turn"] = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
     for name in MOTION:
         again = ~empty[name] & (table[name] != table[name][of_step])
         refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]
@@ -143,6 +149,8 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
         wanted = first if name.removeprefix("sigma_") in MOTION else ~empty.get(name.removeprefix("sigma_"), first)
         refused[f"column {name!r} is empty"] = wanted & empty[name]
         refused[f"column {name!r} is not above 0"] = table[name] <= 0.0
+    if "size" in table:
+        refused["only one of 'size' and 'sigma_size' is given"] = empty["size"] != empty["sigma_size"]
     for what, bad in refused.items():
         if bad.any():
             raise RecordingError(f"line {lines[int(bad.argmax())]}: {what}")

@@ -3,6 +3,7 @@
     g2o   VERTEX_SE2 i x y θ                          VERTEX_XY l x y
           EDGE_SE2 i j dx dy dθ I11 I12 I13 I22 I23 I33      information matrix, upper triangle by rows
           EDGE_SE2_XY i l x y I11 I12 I22                    landmark l in the frame of pose i
+          FIX i                                              is ignored
     iSAM  ODOMETRY i j dx dy dθ R11 R12 R13 R22 R23 R33      square root information, RᵀR = I
           LANDMARK i l x y R11 R12 R22
 
@@ -64,6 +65,8 @@ def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[
     for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8", errors="replace").split("\n"), 1):
         tag, *words = line.split("#", 1)[0].split() or [""]
         try:
+            if tag == "FIX" and "VERTEX_SE2" in sizes:  # a vertex that an optimiser holds fixed
+                continue
             if tag and tag not in sizes:
                 raise ValueError(f"{tag[:40]!r} is none of {', '.join(sizes)}")
             if tag:

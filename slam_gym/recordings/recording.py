@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import array_of, zip_members
+from slam_gym._files import MAX_BYTES, array_of, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
+from slam_gym.validation import check_measurements
 
 FORMAT, VERSION = "slam_gym recording", 1
 _PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
@@ -145,9 +146,11 @@ class Recording:
 
 
 def save(recording: Recording, path: str | Path) -> None:
-    """Write a recording to `path` (.npz, no pickles), atomically."""
+    """Write a recording to `path` (.npz, no pickles), atomically. Raises RecordingError for more than `load` reads."""
     target = Path(path)
     arrays: dict[str, Any] = {field.name: np.asarray(getattr(recording, field.name)) for field in fields(recording)}
+    if sum(array.nbytes + 1024 for array in arrays.values()) > MAX_BYTES:  # with the heads of its members
+        raise RecordingError(f"{path}: {len(recording.points)} measurements are more than {MAX_BYTES >> 20} MB")
     scratch = target.with_name(f".{target.name}.{os.getpid()}")
     with scratch.open("wb") as file:
         np.savez_compressed(file, format=np.array(FORMAT), version=np.array(VERSION), **arrays)
@@ -203,7 +206,7 @@ def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
         raise ValueError("times, poses: not all of them are finite")
     half, zero = 0.5 * trajectory[:, 2], np.zeros(len(at))
     rows = np.column_stack([at, trajectory[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
-    np.savetxt(path, rows, fmt="%.9g", header="timestamp x y z qx qy qz qw")
+    np.savetxt(path, rows, fmt=["%.9f"] + 7 * ["%.9g"], header="timestamp x y z qx qy qz qw")
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
@@ -235,6 +238,10 @@ def _validate(log: Recording) -> None:
         _refuse(name, np.abs(getattr(log, name)) > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
     for name in ("motion_covariances", "covariances"):
         _refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
+    try:
+        check_measurements(log.points, log.covariances)
+    except ValueError as error:
+        raise RecordingError(str(error).replace("Scan: ", "field 'covariances': ")) from None
     for name in ("times", "reference_times"):
         times = getattr(log, name)
         _refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")

@@ -7,12 +7,13 @@ import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
 from slam_gym.geometry import compose_jacobians, inverse
-from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, graph_of
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
@@ -130,9 +131,14 @@ class Slam:
     def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
         """Move the robot by `odometry`; returns what `scan` should show from there, and the locality to search first.
 
-        Raises ValueError, before anything is changed, for non-finite numbers and invalid covariances.
+        A map that was loaded may take the place of `map` before the first step. Its features count as covisible where
+        one scan may see them.
+        Raises ValueError, before anything is changed, for non-finite numbers and invalid covariances, and where others
+        have removed features of the map.
         """
         check_inputs(odometry, scan)
+        if more := self.map.n - self.covisibility.n:  # the map was loaded, or others have added features
+            self._adopt(more, scan)
         self._odometry = odometry
         return self._predict(odometry, scan, self._most_accidental)
 
@@ -321,6 +327,15 @@ class Slam:
         self._missed_loops.reset()
         tracker.forget()
         return removed
+
+    def _adopt(self, more: int, scan: Scan) -> None:
+        """Enter the last `more` features of the map in the graph, which others have added. Raises as `predict`."""
+        if more < 0:
+            raise ValueError(f"map: {-more} features were removed by others than this Slam")
+        widest = 2.0 * max(self.reach, _farthest(scan.points, scan.covariances))
+        pairs = cKDTree(self.map.positions[-more:]).query_pairs(widest, output_type="ndarray").astype(np.int64)
+        added = graph_of(more, Edges(pairs, np.ones(len(pairs), np.int64)))
+        self.covisibility = self.covisibility.followed_by(added)
 
     def _settings(self) -> Settings:
         """The settings that `learn` takes."""

@@ -30,6 +30,7 @@ def test_a_table_becomes_a_map_a_path_and_a_picture(tmp_path):
     assert result.exit_code == 0, result.output
     table = pd.read_csv(tmp_path / "out" / "mine.map.csv").sort_values("x")
     assert np.allclose(table[["x", "y"]], posts[np.argsort(posts[:, 0])], atol=0.1) and (table["sightings"] == 8).all()
+    assert (table["map"] == 0).all()
     assert np.loadtxt(tmp_path / "out" / "mine.path.tum")[-1, 1] == pytest.approx(3.5, abs=0.05)
     assert Image.open(tmp_path / "out" / "mine.png").width > 500
 

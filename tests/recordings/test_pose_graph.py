@@ -57,6 +57,7 @@ def test_both_dialects_give_the_log_that_was_written(tmp_path) -> None:
 
 def test_vertices_are_the_reference_if_asked(tmp_path) -> None:
     path, _ = files(tmp_path)
+    path.write_text(f"FIX 0\n{path.read_text()}")  # which optimisers need
     recording = g2o(path, reference=True)
     assert recording.landmark_ids.tolist() == [100, 101] and len(recording.reference_poses) == 4
     np.testing.assert_allclose(recording.landmarks, list(LANDMARKS.values()))

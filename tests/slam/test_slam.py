@@ -8,7 +8,7 @@ import pytest
 from benchmarks.consistency import METHODS, LoopSpec, estimate, loop
 from benchmarks.corridor import run_corridor
 from slam_gym.association import jcbb
-from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Effort, Hypothesis, Odometry, Scan
 
@@ -44,6 +44,19 @@ def test_locality_offers_first_what_is_near_what_was_just_paired() -> None:
     slam.spec = replace(slam.spec, locality=False)
     prediction = slam.predict(STILL, scan_of([]))
     assert not prediction.has_localities and prediction.near.all()
+
+
+def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_path) -> None:
+    slam, places = slam_of(), np.random.default_rng(0).uniform(-9.0, 9.0, (300, 2))
+    slam.step(STILL, scan_of(places))
+    slam.map.save(tmp_path / "map.npz")
+    again = slam_of()
+    again.map = StochasticMap.load(tmp_path / "map.npz")
+    step = again.step(STILL, scan_of(places[::7]))
+    assert again.map.n == again.covisibility.n == 300 and np.isin(step.ids, np.arange(300)).all()
+    again.map.remove(np.arange(20))
+    with pytest.raises(ValueError, match="map: 20 features were removed"):
+        again.step(STILL, scan_of(places))
 
 
 def test_a_hypothesis_that_does_not_fit_is_refused_by_name() -> None:
