@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
     from slam_gym.recordings import open_recordings
     from slam_gym.recordings.recording import Recording, write_tum
-    from slam_gym.scenarios import SCENARIOS, Scenario, from_floor_plan, get_scenario, register
+    from slam_gym.scenarios import LOG_SETTINGS, SCENARIOS, Scenario, from_floor_plan, get_scenario, register, slam_for
     from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.local_maps import LocalMapSlam
     from slam_gym.slam.relocate import relocate_by
@@ -57,6 +57,7 @@ _MODULES = (
 
 __all__ = [
     "ASSOCIATORS",
+    "LOG_SETTINGS",
     "RELOCATORS",
     "SCENARIOS",
     "UNKNOWN_KIND",
@@ -98,6 +99,7 @@ __all__ = [
     "relocate_by",
     "relocator_from_policy",
     "singles",
+    "slam_for",
     "smooth",
     "true_association",
     "write_tum",

@@ -1,6 +1,6 @@
 """Named, frozen configurations: simulated worlds with their seeds, and settings for recordings."""
 
-from slam_gym.scenarios.registry import SCENARIOS, from_floor_plan, get_scenario, register
+from slam_gym.scenarios.registry import LOG_SETTINGS, SCENARIOS, from_floor_plan, get_scenario, register, slam_for
 from slam_gym.scenarios.scenario import (
     SPLITS,
     KidnappingSpec,
@@ -12,6 +12,7 @@ from slam_gym.scenarios.scenario import (
 )
 
 __all__ = [
+    "LOG_SETTINGS",
     "SCENARIOS",
     "SPLITS",
     "KidnappingSpec",
@@ -21,6 +22,7 @@ __all__ = [
     "overridden",
     "parse_override",
     "register",
+    "slam_for",
     "world_generator",
     "world_seed",
 ]

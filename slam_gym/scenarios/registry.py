@@ -187,15 +187,16 @@ def floor_budget(plan: FloorPlan, like: Scenario) -> int:
     return int(np.clip(area * (2.0 + 20.0 / like.beams.range), _SHORTEST, _LONGEST))
 
 
-GENERIC = SlamSpec(
+LOG_SETTINGS = SlamSpec(
     MapSpec(unconfirmed_age=20),
     new_confidence=1.0 - 1e-12,
     max_chance_probability=0.05,
     start_features_from_rejected=True,
 )
-"""Settings for logs without settings of their own; the reach is taken from the scans. With a limited field of view, a
-returning robot first sees a single old feature, or an unmapped one beside it. The gate of new features is wide, 7.4 σ,
-since the errors of real logs have heavy tails and last for several scans; closer features are mapped as one."""
+"""Settings for real data: those of logs without settings of their own. The reach is taken from the scans. With a
+limited field of view, a returning robot first sees a single old feature, or an unmapped one beside it. The gate of new
+features is wide, 7.4 σ, since the errors of real logs have heavy tails and last for several scans; closer features are
+mapped as one."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
 """A trunk must be seen in five of twenty scans. With two sightings, the map of the first half has 118 more features, of
@@ -209,6 +210,6 @@ SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 
 
 def slam_for(recording: Recording) -> SlamSpec:
-    """The settings for a recording: those chosen for its kind, or `GENERIC`."""
+    """The settings for a recording: those chosen for its kind, or `LOG_SETTINGS`."""
     kind = recording.name.partition("/")[0]
-    return SETTINGS.get(kind, GENERIC)
+    return SETTINGS.get(kind, LOG_SETTINGS)

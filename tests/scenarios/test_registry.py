@@ -10,7 +10,7 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose, relative
 from slam_gym.recordings import Recording
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
-from slam_gym.scenarios.registry import DRIFT, GENERIC, MRCLAM, VICTORIA_PARK, floor_budget, slam_for
+from slam_gym.scenarios.registry import DRIFT, LOG_SETTINGS, MRCLAM, VICTORIA_PARK, floor_budget, slam_for
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
 from slam_gym.simulation.episode import survey
 from slam_gym.world.floor_plan import Features, FloorPlan
@@ -171,8 +171,8 @@ def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
     [
         ("victoria_park", VICTORIA_PARK),
         ("mrclam/MRCLAM_Dataset6/robot3", MRCLAM),
-        ("mine", GENERIC),
-        ("mine/mrclam", GENERIC),
+        ("mine", LOG_SETTINGS),
+        ("mine/mrclam", LOG_SETTINGS),
     ],
 )
 def test_the_first_part_of_the_name_decides(name, settings) -> None:
