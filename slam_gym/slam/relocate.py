@@ -49,11 +49,11 @@ class Tracker:
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
 
-    Where the prediction does not tell what is in view, a scan that pairs a confirmed feature is believed, unless most
-    of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt would
-    keep the map from learning the features that the next scans can be paired with. The sector of directions in which
-    anything was measured so far then stands for the view: a feature that the last scan paired and that a turn has put
-    out of the sector is not expected. A doubt lasts until a scan pairs something; a scan without measurements neither
+    Where the prediction does not tell what is in view, a scan that pairs a confirmed feature begins no doubt, unless
+    most of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt
+    would keep the map from learning the features that the next scans can be paired with. The sector of directions in
+    which anything was measured so far then stands for the view: a feature that the last scan paired and that a turn has
+    put out of the sector is not expected. A doubt lasts until a scan pairs enough; a scan without measurements neither
     ends it nor adds another.
 
     So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
@@ -134,7 +134,7 @@ class Tracker:
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
         measured = len(hypothesis.features)
         explained = pairings >= max(_BELIEVED, self.fraction) * measured
-        if not self.lost and not explained and not prediction.has_view and pairings > 0:
+        if not self.doubted and not explained and not prediction.has_view and pairings > 0:
             # the other measurements may show new ground, unless many features have disappeared
             expected = prediction.features[~prediction.provisional & self._should_be_seen(prediction)]
             missing = np.count_nonzero(~np.isin(expected, hypothesis.features)) > (1.0 - self.fraction) * len(expected)

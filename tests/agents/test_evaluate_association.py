@@ -12,8 +12,8 @@ from slam_gym.recordings import save
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.agents import typed
-from tests.agents.evaluation import posts_log
 from tests.agents.reports import Page
+from tests.recordings import drive
 
 
 def mine(scan, prediction):
@@ -50,7 +50,7 @@ def test_the_command_of_the_suite(tmp_path):
 
 
 def test_the_command_on_a_log(tmp_path):
-    save(posts_log(), tmp_path / "drive.npz")
+    save(drive(steps=120, name="drive"), tmp_path / "drive.npz")
     line = ["--recording", tmp_path / "drive.npz", "--associators", "jcbb", "true_association", "--jobs", "1"]
     result = typed(app, *line, "--output", tmp_path / "out")
     assert result.exit_code == 0, result.output

@@ -8,6 +8,7 @@ from scipy.stats import chi2, trim_mean
 
 from slam_gym.metrics.consistency import anees, nees, pose_nees
 from slam_gym.metrics.statistics import bootstrap_interval, interquartile_mean
+from tests.oracles.statistics import random_covariance
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 7, 30, 101])
@@ -57,11 +58,6 @@ def test_bad_values_are_refused():
 
 
 # --- NEES against the textbook inverse, its χ² law by Monte Carlo, and the degenerate covariances of a first pose -----
-
-
-def random_covariance(rng, d):
-    root = rng.normal(size=(d, d))
-    return root @ root.T + 0.01 * np.eye(d)
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 8])

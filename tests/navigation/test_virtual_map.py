@@ -9,15 +9,11 @@ from slam_gym.geometry import observe
 from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.types import Beams
 from tests.oracles.geometry import transform_jacobians
+from tests.oracles.statistics import random_covariance
 
 BOUNDS = np.array([-6.0, -4.0, 7.0, 5.0])
 BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
 CLEAR = Beams(BEARINGS, np.full(40, 6.0), 6.0)
-
-
-def random_covariance(rng, scale=0.1):
-    a = rng.normal(scale=scale, size=(3, 3))
-    return a @ a.T
 
 
 def centres(virtual):
@@ -55,7 +51,7 @@ def test_observation_is_the_propagated_covariance_where_smaller(field_of_view):
     for _ in range(25):
         pose = np.array([*rng.uniform(-7, 7, 2), rng.uniform(-4, 4)])
         ranges = np.where(rng.random(40) < 0.3, 5.0, rng.uniform(0.0, 5.0, 40))
-        beams, covariance = Beams(bearings, ranges, 5.0), random_covariance(rng)
+        beams, covariance = Beams(bearings, ranges, 5.0), random_covariance(rng, 3, 0.1)
         before = virtual.covariances.copy()
         expected = observed_by_hand(virtual, pose, covariance, beams, 0.05)
         improved = virtual.observe(pose, covariance, beams, 0.05)
@@ -70,7 +66,7 @@ def test_criteria_are_those_of_the_eigenvalues():
     assert virtual.a_opt() == pytest.approx(1.0) and virtual.d_opt() == pytest.approx(1.0)
     assert virtual.entropy() == pytest.approx(0.0, abs=1e-12)
     for _ in range(5):
-        virtual.observe(rng.uniform(-3, 3, 3), random_covariance(rng), CLEAR, 0.03)
+        virtual.observe(rng.uniform(-3, 3, 3), random_covariance(rng, 3, 0.1), CLEAR, 0.03)
     eigenvalues = np.linalg.eigvalsh(virtual.covariances) / 0.7**2
     assert virtual.a_opt() == pytest.approx(eigenvalues.mean())
     assert virtual.d_opt() == pytest.approx(math.exp(np.log(eigenvalues).mean()))

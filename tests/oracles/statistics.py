@@ -5,13 +5,22 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from scipy.stats import chi2
+
+from slam_gym.types import Array
 
 
 def anees_interval(count: int, dof: int, level: float = 0.95) -> tuple[float, float]:
     """Interval of the ANEES of `count` values with `dof` each (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4)."""
     n, tail = count * dof, 0.5 * (1.0 - level)
     return float(chi2.ppf(tail, n)) / n, float(chi2.ppf(1.0 - tail, n)) / n
+
+
+def random_covariance(rng: np.random.Generator, d: int, scale: float = 1.0) -> Array:
+    """(d, d), of standard deviations of about `scale`."""
+    root = rng.normal(0.0, scale, (d, d))
+    return root @ root.T + (0.1 * scale) ** 2 * np.eye(d)
 
 
 def for_seeds(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -1,4 +1,4 @@
-"""A log made by hand, of a robot that drives on an arc."""
+"""Logs made by hand, of a robot that drives on an arc."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from slam_gym.geometry import compose, observe
 from slam_gym.recordings import Recording
-from slam_gym.types import SPURIOUS, UNLABELLED
+from slam_gym.types import SPURIOUS, UNLABELLED, Odometry, Scan, Truth
 
 
 def drive(seed: int = 0, steps: int = 60, headings: bool = True, noise: float = 1.0, **changes) -> Recording:
@@ -36,3 +36,9 @@ def drive(seed: int = 0, steps: int = 60, headings: bool = True, noise: float = 
         reference_poses=reference, landmark_ids=np.arange(40), landmarks=world, range=9.0, field_of_view=2.0 * math.pi,
     )  # fmt: skip
     return replace(log, **changes)
+
+
+def looks(seed: int, steps: int, noise: float = 1.0) -> list[tuple[Odometry, Scan, Truth]]:
+    """Odometry, scan and truth of each step of such a drive."""
+    log = drive(seed, steps, noise=noise)
+    return [(*now, Truth(pose, sources)) for (*now, sources), pose in zip(log.steps(), log.reference_poses)]

@@ -23,7 +23,8 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world import corridor
-from tests.simulation.episodes import SMALL, circle, site_of
+from tests.recordings import looks
+from tests.simulation.episodes import SMALL, site_of
 
 
 def refuse_all(scan: Scan, prediction: Prediction) -> Hypothesis:
@@ -96,7 +97,7 @@ def test_its_map_is_measured_in_its_own_base() -> None:
 
 
 def test_without_known_places_the_map_is_as_bad_as_an_empty_one() -> None:
-    log = circle(15)
+    log = looks(0, 15)
     world = ScanLog("circle", lambda rng: iter(log), 15, SlamSpec(), np.empty((0, 2)))
     blind = LoggedRun(world, np.random.default_rng(0))
     play(blind, jcbb)

@@ -8,9 +8,9 @@ from slam_gym.metrics.association import Identities, Tally
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import SPURIOUS, Odometry, Scan, Truth
-from tests.simulation.episodes import circle
+from tests.recordings import looks
 
-LOG = circle(15, spurious=0.1)
+LOG = looks(0, 15)
 
 
 def test_it_is_a_loop_of_steps_and_judgements() -> None:
@@ -31,7 +31,7 @@ def test_it_is_a_loop_of_steps_and_judgements() -> None:
 
 def renamed(truth: Truth) -> Truth:
     """The same truth about the poses, and a lie about every source."""
-    return Truth(truth.pose, np.where(truth.sources == SPURIOUS, SPURIOUS, (truth.sources + 1) % 12))
+    return Truth(truth.pose, np.where(truth.sources < 0, truth.sources, (truth.sources + 1) % 40))
 
 
 def test_the_truth_is_told_to_its_associator_by_name_scan_after_scan() -> None:

@@ -8,7 +8,7 @@ from slam_gym.metrics.association import Decision
 from slam_gym.simulation.judged import JudgedSlam, RightAnswers, decisions
 from slam_gym.slam.slam import Slam
 from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
-from tests.simulation.episodes import circle
+from tests.recordings import looks
 
 IDENTITIES = np.array([5, 3, SPURIOUS, 5, UNLABELLED, 7])
 
@@ -46,7 +46,7 @@ def test_decisions_and_right_actions_along_walks_agree_with_the_tally(seed: int)
     """A walk that takes any branch; all that the walk refuses and the map does not know starts a feature."""
     judged, rng = JudgedSlam(Slam()), np.random.default_rng(seed)
     right = wrong = 0
-    for odometry, scan, truth in circle(12, seed, 25, spread=1.2, sigma=0.1, spurious=0.1, unlabelled=0.1):
+    for odometry, scan, truth in looks(seed, 12, noise=3.0):
         prediction = judged.slam.predict(odometry, scan)
         answers = RightAnswers.of(truth, judged.identities.source_of(judged.slam.map.ids))
         walk = Walk(scan, prediction, compatibility="individual")
@@ -75,7 +75,7 @@ def test_decisions_and_right_actions_along_walks_agree_with_the_tally(seed: int)
 
 
 def test_what_is_not_decided_yet_is_told_apart_from_what_is_refused() -> None:
-    (first, *_), (odometry, scan, truth), *_ = circle(3)
+    (first, *_), (odometry, scan, truth), *_ = looks(0, 3)
     slam = Slam()
     slam.step(first, scan)
     walk = Walk(scan, slam.predict(odometry, scan))

@@ -11,12 +11,9 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.relocate import LOCALITIES, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
+from tests.slam.test_slam import scan_of
 
 STILL = Odometry.from_motion([0, 0, 0], [0.01, 0.01, 0.003])
-
-
-def scan_of(points) -> Scan:
-    return Scan.from_points(points, sigma=0.02)
 
 
 def found(features: list[int], pose: np.ndarray) -> Relocation:

@@ -112,6 +112,13 @@ def test_one_accidental_pairing_is_not_enough_where_many_features_have_disappear
     assert not doubts(tracker, facing(AHEAD), paired(3)) and not doubts(tracker, facing(AHEAD), few)
 
 
+def test_one_pairing_on_new_ground_ends_no_doubt() -> None:
+    tracker = looking_ahead(10)
+    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and not doubts(tracker, facing(-AHEAD), paired(1))
+    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and doubts(tracker, facing(AHEAD), paired(0))
+    assert doubts(tracker, facing(-AHEAD), paired(1)) and not doubts(tracker, facing(-AHEAD), paired(3))
+
+
 def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
     tracker = looking_ahead()
     assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and not doubts(tracker, facing(-AHEAD), paired(0))

@@ -29,13 +29,14 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import MRCLAM, VICTORIA_PARK
 from slam_gym.types import SPURIOUS, UNLABELLED
-from tests.agents.evaluation import SPEC, posts_log
+from tests.agents.evaluation import SPEC
+from tests.recordings import drive
 
 
 @functools.cache
 def informed(seed: int) -> dict[str, float]:
     """Numbers of a short log, every measurement of which is paired with its post."""
-    return measure(map_log(posts_log(60, seed, clutter=0.5), "true_association", SPEC))
+    return measure(map_log(drive(seed), "true_association", SPEC))
 
 
 def test_true_association_makes_no_mistake_and_maps_every_post_once() -> None:
@@ -53,7 +54,7 @@ def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -
         for of in ("", "_batch")
     )
     assert (batch < 1.05 * filtered).all()
-    certain = replace(posts_log(), motion_covariances=np.zeros_like(posts_log().motion_covariances))
+    certain = replace(drive(steps=120), motion_covariances=np.zeros_like(drive(steps=120).motion_covariances))
     assert math.isnan(measure(map_log(certain, "jcbb", SPEC))["ate_batch"])
 
 
@@ -78,7 +79,7 @@ def test_a_robot_of_mrclam_is_placed_and_mapped_to_decimetres_where_identities_a
 
 @pytest.fixture(scope="module")
 def log() -> Recording:
-    return posts_log()
+    return drive(steps=120)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,7 @@ def mapped(log):
 def test_a_map_starts_where_the_reference_does_and_stays_close_to_it(log, mapped) -> None:
     numbers, (times, estimated, reference) = measure(mapped), compare(log, mapped.poses)
     assert mapped.in_world
-    np.testing.assert_allclose(start_of(log), log.reference_poses[0], atol=1e-12)
+    np.testing.assert_allclose(compose(start_of(log), log.motions[0]), log.reference_poses[0], atol=1e-12)
     assert numbers["ate"] <= numbers["ate_unaligned"] < 0.5 and numbers["anees"] < 5.0
     assert numbers["ate_unaligned"] == pytest.approx(ate(estimated, reference))
     np.testing.assert_array_equal(times, log.times)
@@ -99,11 +100,11 @@ def test_numbers_agree_with_counts_by_hand(log) -> None:
     mapped = map_log(log, "nearest_neighbour", SPEC)
     numbers = measure(mapped)
     paired, feature = mapped.measurements["paired"], mapped.measurements["feature_source"]
-    real = log.sources >= 0
+    real, spurious = log.sources >= 0, log.sources == SPURIOUS
     right = sum(1 for i in np.flatnonzero(paired & real) if feature[i] == log.sources[i])
-    assert numbers["clutter"] == (log.sources == SPURIOUS).sum()
-    assert numbers["clutter_accepted"] == (paired & ~real).sum()
-    assert numbers["clutter_on_landmarks"] == (paired & ~real & (feature >= 0)).sum()
+    assert numbers["clutter"] == spurious.sum()
+    assert numbers["clutter_accepted"] == (paired & spurious).sum()
+    assert numbers["clutter_on_landmarks"] == (paired & spurious & (feature >= 0)).sum()
     assert right == mapped.tally.tp + mapped.tally.fp_duplicate
     landmarks = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
     assert numbers["duplicates"] + numbers["found"] == (landmarks >= 0).sum()
@@ -111,14 +112,14 @@ def test_numbers_agree_with_counts_by_hand(log) -> None:
 
 
 def test_where_headings_are_unknown_only_alignment_compares(mapped) -> None:
-    log = posts_log(surveyed=False)
+    log = drive(steps=120, headings=False)
     numbers = measure(map_log(log, "jcbb", SPEC))
     assert start_of(log) is None and math.isnan(numbers["ate_unaligned"]) and math.isnan(numbers["anees"])
     assert numbers["ate"] == pytest.approx(measure(mapped)["ate"], rel=1e-6)
 
 
 def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identities() -> None:
-    log = posts_log(60)
+    log = drive()
     unknown = replace(
         log, reference_times=np.empty(0), reference_poses=np.empty((0, 3)), landmark_ids=np.empty(0, np.int64),
         landmarks=np.empty((0, 2)),
@@ -137,14 +138,14 @@ def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identi
 def test_files_hold_the_run(tmp_path, mapped) -> None:
     thin = mapped.log.every(5)
     write_mapped_log(tmp_path, "jcbb", replace(mapped, log=thin, poses=mapped.poses[::5]))
-    assert len(pd.read_csv(tmp_path / "drive.reference.csv")) > 4 * len(thin)  # the reference keeps all its positions
+    assert len(pd.read_csv(tmp_path / "arc.reference.csv")) > 4 * len(thin)  # the reference keeps all its positions
     write_mapped_log(tmp_path, "jcbb", mapped)
-    features, errors = (pd.read_csv(tmp_path / f"drive.jcbb.{kind}.csv") for kind in ("map", "errors"))
+    features, errors = (pd.read_csv(tmp_path / f"arc.jcbb.{kind}.csv") for kind in ("map", "errors"))
     numbers = measure(mapped)
     assert features["confirmed"].sum() == numbers["features"]
     assert math.sqrt((errors["error"] ** 2).mean()) == pytest.approx(numbers["ate"], rel=1e-6)
     known = features[(features["confirmed"] == 1) & (features["identity"] >= 0)].drop_duplicates("identity")
-    landmarks = pd.read_csv(tmp_path / "drive.landmarks.csv").to_numpy()[known["identity"]]
+    landmarks = pd.read_csv(tmp_path / "arc.landmarks.csv").to_numpy()[known["identity"]]
     assert np.hypot(*(known[["aligned_x", "aligned_y"]].to_numpy() - landmarks).T).max() < 0.5
 
 
@@ -156,8 +157,7 @@ def test_evo_reads_the_trajectories_and_finds_the_same_error(tmp_path, mapped) -
     write_mapped_log(tmp_path, "jcbb", mapped)
     numbers = measure(mapped)
     reference, estimate = (
-        file_interface.read_tum_trajectory_file(str(tmp_path / name))
-        for name in ("drive.reference.tum", "drive.jcbb.tum")
+        file_interface.read_tum_trajectory_file(str(tmp_path / name)) for name in ("arc.reference.tum", "arc.jcbb.tum")
     )
     reference, estimate = sync.associate_trajectories(reference, estimate, max_diff=1e-3)
     for aligned, key in ((False, "ate_unaligned"), (True, "ate")):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import gcbb
-from slam_gym.geometry import relative
+from slam_gym.geometry import observe, relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -45,16 +45,12 @@ def apart(rng: np.random.Generator, count: int) -> Array:
     return points
 
 
-def seen_from(pose: Array, points: Array) -> Array:
-    return np.array([relative(pose, np.array([*point, 0.0]))[:2] for point in points])
-
-
 def test_the_robot_is_where_it_is_within_its_covariance_and_ids_and_graph_are_valid() -> None:
     distances = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         points, pose = apart(rng, 30), np.array([1.0, -2.0, 2.0])
-        joined, a, b = try_to_join(points, seen_from(pose, points[:14]), seed)
+        joined, a, b = try_to_join(points, observe(pose, points[:14]), seed)
         assert joined is not None, f"seed {seed}"
         m = joined.map
         np.testing.assert_array_equal(joined.ids[:, 0], joined.ids[:, 1] - 30)  # the right pairs, the older id first
@@ -71,7 +67,7 @@ def test_the_robot_is_where_it_is_within_its_covariance_and_ids_and_graph_are_va
 
 def test_maps_are_joined_in_the_base_of_the_one_that_began_first() -> None:
     points, pose = apart(np.random.default_rng(0), 30), np.array([1.0, -2.0, 2.0])
-    joined, a, b = try_to_join(points, seen_from(pose, points[:14]), 0, back=True)
+    joined, a, b = try_to_join(points, observe(pose, points[:14]), 0, back=True)
     assert joined is not None
     m = joined.map
     np.testing.assert_array_equal(m.ids[joined.became], a.ids)
@@ -94,7 +90,7 @@ def test_a_scan_that_is_found_in_the_older_map_joins_them_too() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         points, pose = apart(rng, 30), np.array([1.0, -2.0, 2.0])
-        there = seen_from(pose, points[:12])
+        there = observe(pose, points[:12])
         _, a, b = try_to_join(points, there, seed)
         graphs = [CovisibilityGraph(), CovisibilityGraph()]
         for graph, m in zip(graphs, (a, b)):
