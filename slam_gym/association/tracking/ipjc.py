@@ -7,7 +7,8 @@ lies at Rot(−φ)(p̂_j + δ_j). The error of measurement i, rotated into the p
 
     e(φ) = ν + (cos φ − 1) z_i + sin φ J z_i − φ a_j,   a_j = J p̂_j + c_j / σ²,   J = [0 −1; 1 0],
 
-where σ² is the variance of the heading and c_j = Cov(h_j, θ); given φ, δ is Gaussian with covariance S − c cᵀ/σ². With
+where σ² is the variance of the heading and c_j = Cov(h_j, θ); given φ, δ is Gaussian with covariance S − c cᵀ/σ². Here
+p̂_j and S are those of first order. With
 G the 4 × 4 matrix of the products of these four vectors, whitened by S_{H|θ}, and q = (1, cos φ − 1, sin φ, −φ),
 
     D²_H = min over φ of φ²/σ² + qᵀ G q.
@@ -26,6 +27,7 @@ from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.jcbb import check_node_limit, jcbb
 from slam_gym.association.tracking.near_first import Offer, near_first
 from slam_gym.association.tree import Pairings, may_follow
+from slam_gym.mapping.measurement import joint_covariance
 from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
 
 _ITERATIONS, _CONVERGED = 30, 1e-10  # [rad]
@@ -38,17 +40,23 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
     is linear: the result is then that of JCBB. Every hypothesis is factored as a whole, which makes this plain baseline
     many times slower than JCBB.
 
-    `joint_distance` is the optimised D²_H. `node_limit`, localities, `effort.limit_hit` and errors are those of `jcbb`.
+    `joint_distance` is the optimised D²_H. `node_limit`, localities, `effort.limit_hit` and errors are those of `jcbb`,
+    but a limit that is reached before all measurements were decided once leaves all of them unpaired.
     """
     check_node_limit(node_limit)
     variance = prediction.heading_variance
     if not variance > 0.0:
         return jcbb(scan, prediction, node_limit=node_limit)
     gates, optimised = joint_gates(len(scan), prediction.confidence), [0.0]
+    (_, state, covariance, *_), second_order = prediction.source, prediction.size[2]
 
     def search(offer: Offer, rows: IntArray) -> Effort:
         p, mean, across = offer.pairings, prediction.positions[offer.rows], prediction.heading_covariances[offer.rows]
         z = scan.points[p.measured]
+        if second_order:  # back to the mean and covariance of first order, since e(φ) is exact in the heading
+            shift, features = 0.5 * np.column_stack([across[:, 1], -across[:, 0]]), prediction.features[offer.rows]
+            mean, first_order = mean - shift, joint_covariance(state, covariance, features, False)
+            p = p._replace(innovations=p.innovations + shift[p.slots], covariance=first_order)
         slopes = (np.column_stack([-mean[:, 1], mean[:, 0]]) + across / variance)[p.slots]
         errors = np.stack([p.innovations, z, np.column_stack([-z[:, 1], z[:, 0]]), slopes], axis=2)
         p = p._replace(covariance=p.covariance - np.outer(across, across) / variance)
@@ -75,7 +83,7 @@ def _search(
     path = np.arange(pairings.fixed + levels)
     distance, made = np.zeros(levels + 1), np.full(levels + 1, pairings.fixed)
     distance[0] = _distance(pairings, errors, path[: pairings.fixed], variance)
-    best, least, best_path = -1, math.inf, path[:0].copy()
+    best, least, best_path = -1, math.inf, path[: pairings.fixed].copy()
     trial, level, nodes = first.copy(), 0, 0
     while level >= 0:
         bound = made[level] + later[level]
@@ -87,8 +95,6 @@ def _search(
             level -= 1
             continue
         if nodes == node_limit:
-            if made[level] > best:
-                best_path = path[: made[level]].copy()
             break
         c, p = trial[level], made[level]
         trial[level] += 1

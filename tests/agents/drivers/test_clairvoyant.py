@@ -121,12 +121,3 @@ def test_no_tour_brings_more_than_the_best_sequence_and_many_come_near_it():
         assert found <= most + 1e-9
         reached, best = reached + found, best + most
     assert reached > 0.97 * best
-
-
-def test_early_views_count_more_and_nothing_is_left_to_see_in_no_time():
-    ticks, legs, worth = problem(np.random.default_rng(2))
-    worth, chance, nothing = np.abs(worth), np.ones((4, len(ticks) - 1)), np.zeros(2, np.uint64)
-    plain, urgent = (tour(ticks, legs, 200.0, nothing, worth, chance, early) for early in (0.0, 0.5))
-    assert plain < urgent < 1.5 * plain
-    assert tour(ticks, legs, 20.0, nothing, worth, chance) == 0.0
-    assert tour(ticks, legs, 200.0, ~nothing, worth, chance) == 0.0

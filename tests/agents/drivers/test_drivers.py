@@ -85,12 +85,6 @@ def test_lawnmower_finishes_its_lane_before_it_takes_the_next_one():
     assert visited[3:6] in (there, back)
 
 
-def test_lawnmower_goes_over_the_revisits_once_no_frontier_is_left():
-    agent = Lawnmower()
-    agent.reset(0)
-    assert agent.act(*offered([], [(3, 0, 3, 0, 0.1)])) == 1 + FRONTIERS
-
-
 NEAR, FAR = (1, 0, 2.0, 4.0, 0.0), (9, 0, 10.0, 10.0, 0.0)  # 0.020 and 0.012 m² a tick
 
 
@@ -99,10 +93,6 @@ def test_information_gain_weighs_new_area_and_reduction_per_tick():
     assert agent.act(*offered([FAR, NEAR])) == 2
     assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.09)])) == 2  # just below 0.020 m² a tick
     assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.11)])) == 1 + FRONTIERS
-
-
-def test_without_revisits_it_takes_the_best_frontier():
-    assert InformationGainNoRevisits().act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 9.0)])) == 2
 
 
 def test_what_has_been_looked_at_promises_less_the_next_time():

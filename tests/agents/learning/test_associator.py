@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learning.association_scans import HIDDEN, Source, decisions_of, without
+from agents.learning.association_scans import HIDDEN, Source, decisions_of
 from agents.learning.associator import (
     SHARES,
     AssociatorPlan,
@@ -85,23 +85,6 @@ def test_no_world_is_both_trained_on_and_held_out():
     )
 
 
-def test_what_is_hidden_is_not_there():
-    scan, prediction, _, _ = answered(0)
-    counted, sized, *rest = prediction.rows
-    counted = counted.copy()
-    counted[3] = 5
-    prediction = dataclasses.replace(prediction, rows=(counted, np.full_like(sized, 0.3), *rest))
-    prediction = prediction.with_visibility(np.full(8, 0.9))
-    scan = dataclasses.replace(scan, sizes=np.full(6, 0.3), size_variances=np.full(6, 0.01))
-    assert without((), scan, prediction)[0] == scan
-    for hidden in (*HIDDEN, ("views",)):
-        bare_scan, bare = without(hidden, scan, prediction)
-        assert np.isnan(bare_scan.sizes).all() == np.isnan(bare.sizes).all() == ("sizes" in hidden)
-        assert bare.has_view == ("views" not in hidden)
-        assert (bare.sightings == 0).all() == ("past" in hidden)
-        np.testing.assert_array_equal(bare.positions, prediction.positions)
-
-
 def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
     plain = list(Source("level", "closure/2", 0).scans(count=3))
     kinds = list(Source("level", "closure/2", 0, hidden=("sizes", "not kinds")).scans(count=3))
@@ -112,17 +95,6 @@ def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
 
 
 # -- what is learned ---------------------------------------------------------------------------------------------------
-
-
-def test_scans_in_a_batch_do_not_mix():
-    scans = [answered(seed)[3] for seed in (4, 5, 6)]
-    together = Batch.of(scans)
-    odds = torch.randn(len(together.inputs), generator=torch.Generator().manual_seed(0))
-    whole, at = probabilities(odds, together).numpy(), 0
-    for d, own in zip(scans, whole):
-        single = probabilities(odds[at : at + len(d.inputs)], Batch.of([d])).numpy()[0]
-        assert own[d.known] == pytest.approx(single[d.known], abs=1e-6)
-        at += len(d.inputs)
 
 
 def test_the_network_is_that_of_the_package():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from agents.drivers.base import LOOK_AROUND
 from agents.drivers.baselines import InformationGain
 from agents.drivers.learned import SHAPES, TOKEN_FIELDS, LearnedDriver, Tokens, load_driver, scores, tokens_of
 from agents.evaluation.episodes import ExploreArguments, run_episode
@@ -61,18 +60,6 @@ def test_what_is_seen_stays_and_the_budget_ends_the_drive(env):
         assert sketch.ticks > before
         missed.append(sketch.missed)
     assert (np.diff(missed) <= 0.0).all() and missed[-1] < 0.7 and sketch.ticks < 200 + 3 * QUARTER
-
-
-def test_trying_a_goal_leaves_the_drive_alone_and_nobody_looks_around_twice(env):
-    sketch = begun(env, 2)
-    sketch.step(greedy(sketch))
-    shown, missed, ticks = sketch.observation(), sketch.missed, sketch.ticks
-    ends = [[missed_by(sketch, greedy, int(k)) for k in np.flatnonzero(sketch.legal)] for _ in range(2)]
-    after = sketch.observation()
-    assert (sketch.missed, sketch.ticks) == (missed, ticks) and all(np.array_equal(shown[k], after[k]) for k in shown)
-    assert ends[0] == ends[1] and len(set(ends[0])) > 1
-    sketch.step(LOOK_AROUND)
-    assert sketch.ticks == ticks + 4 * QUARTER and not sketch.legal[LOOK_AROUND]
 
 
 # -- what is learned from them -----------------------------------------------------------------------------------------

@@ -19,13 +19,7 @@ from agents import train as train_command
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
 from agents.learning.cloning import clone
-from agents.learning.policies import (
-    HYPERPARAMETERS,
-    load_hyperparameters,
-    load_policy,
-    make_algorithm,
-    read_about,
-)
+from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters, load_policy, make_algorithm, read_about
 from agents.learning.training import ASTRAY, HELD_OUT, WEIGHTS, HeldOutWorlds, make, train
 from agents.options import Training
 from agents.record_decisions import decisions

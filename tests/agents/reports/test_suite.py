@@ -1,14 +1,12 @@
-"""Numbers of the suite: means over levels, then over worlds; what best hypotheses promise, and what they keep."""
+"""Numbers of the suite: means over levels, then over worlds."""
 
 import math
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from agents.reports.pages import by_world, leads, relocations, scores
-from agents.suite import OUTCOMES, promised
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
+from agents.suite import OUTCOMES
 
 
 def results(numbers: dict[str, dict[str, list[list[float]]]], **more) -> pd.DataFrame:
@@ -49,26 +47,3 @@ def test_relocators_have_numbers_of_their_own():
     rows = relocations(results(found, **dict.fromkeys((*OUTCOMES, "nodes", "microseconds", "limits"), 2))).rows
     assert list(rows) == ["gcbb", "worse"] and rows["gcbb"]["correct"] == 2
     assert rows["gcbb"]["score"].estimate == 0.4
-
-
-# -- promises ----------------------------------------------------------------------------------------------------------
-
-SILENT = Hypothesis(np.array([1]), 0.0, 2, Effort())
-
-
-def answer(features, marginals, probability=0.5, runner_up=None, runner_up_probability=0.1):
-    m = len(features)
-    runner_up = np.full(m, UNPAIRED) if runner_up is None else np.array(runner_up)
-    posterior = Posterior(0.0, probability, runner_up, runner_up_probability, np.array(marginals), np.zeros(m))
-    return Hypothesis(np.array(features), 0.0, 0, Effort(), posterior)
-
-
-def test_the_best_hypothesis_is_held_to_its_promise():
-    """The best one may not be the one decided for: then it is the runner-up."""
-    sure = answer([3, UNPAIRED], [0.9, 0.9])
-    refusing = answer([UNPAIRED, UNPAIRED], [0.6, 0.9], 0.2, [3, UNPAIRED], 0.7)
-    right = [np.array([3, UNPAIRED]), np.array([3, UNPAIRED])]
-    assert promised([sure, refusing], right) == {"promised": pytest.approx(0.6), "kept": 1.0}
-    assert promised([sure, refusing], [np.array([4, UNPAIRED]), right[1]])["kept"] == 0.5
-    silent = promised([SILENT], [np.array([1])])
-    assert all(math.isnan(value) for value in silent.values())

@@ -8,6 +8,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from slam_gym.association import ASSOCIATORS, ipjc, jcbb
+from slam_gym.association.prediction import predict
+from slam_gym.geometry import observe
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
@@ -115,11 +118,20 @@ def test_ipjc_misses_fewer_pairings_than_jcbb_when_the_heading_is_far_off():
     assert 0 < missed["ipjc"] < 0.7 * missed["jcbb"], missed
 
 
+def test_a_prediction_of_second_order_does_not_count_the_heading_twice():
+    places, answers = np.random.default_rng(3).uniform(2.0, 6.0, (6, 2)), []
+    for second_order in (True, False):
+        m = StochasticMap(MapSpec(second_order=second_order))
+        m.add(Scan.from_points(places, sigma=0.02), np.arange(6))
+        m.place(np.zeros(3), np.diag([0.05, 0.05, 0.2]) ** 2)
+        turned = Scan.from_points(observe(np.array([0.0, 0.0, 0.2]), places), sigma=0.02)
+        answers.append(ipjc(turned, predict(m, 20.0)))
+    assert answers[0].features.tolist() == answers[1].features.tolist() == list(range(6))
+    assert [answer.joint_distance for answer in answers] == pytest.approx([1.0, 1.0], abs=0.01)  # of one σ of heading
+
+
 def test_ipjc_reports_its_node_limit():
-    scan, prediction = oracles.problem(np.random.default_rng(2), 12, 14, spread=1.0)
-    free = ipjc(scan, prediction)
-    stopped = ipjc(scan, prediction, node_limit=10)
-    assert not free.effort.limit_hit and free.effort.nodes > 10
-    assert stopped.effort.limit_hit and stopped.effort.nodes == 10
-    pairings = [ipjc(scan, prediction, node_limit=limit).pairings for limit in range(1, 9)]
-    assert pairings == sorted(pairings) and pairings[0] == 1  # the best hypothesis so far
+    scan, prediction, *_ = turning_problem(np.random.default_rng(2), 12, 14, 0.1)
+    free, stopped = ipjc(scan, prediction), ipjc(scan, prediction, node_limit=10)
+    assert not free.effort.limit_hit and free.effort.nodes > 10 and free.pairings > 5
+    assert stopped.effort.limit_hit and stopped.effort.nodes == 10 and stopped.pairings == 0
