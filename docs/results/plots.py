@@ -144,13 +144,13 @@ def training(theme: dict[str, str]) -> Figure:
         label = "in training, three seeds" if seed == 0 else None
         axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], lw=1, label=label)
     greedy = seeds.dropna(subset="held_out_return").groupby("decisions").held_out_return.mean()
-    axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], label="held-out worlds, greedy, their mean")
+    axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], label="held-out worlds, greedy, seed 0")
     clone = data[data.who == "clone"]
     axes.plot(clone.decisions / 1e6, clone.train_score, color=theme["blue"], lw=1, label="begun as a clone of marginal")
     for who, colour in colours.items():
         level = data[data.who == who].held_out_return.iloc[0]
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
-        shift = {"marginal": -0.03, "learned": 0.03}.get(who, 0.0)  # so that the two names do not overlap
+        shift = -0.04 if who == "marginal" else 0.0  # so that names do not overlap
         axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
     axes.set(xlabel="million decisions", ylabel="score", xlim=(0, 2.0), ylim=(-0.8, 1.05))
     minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))

@@ -104,14 +104,13 @@ def test_a_resumed_training_goes_on_from_its_weights_and_count(driver):
 
 
 def test_every_evaluation_is_in_the_same_held_out_worlds(tmp_path, monkeypatch):
-    worlds, reset = [], ExploreEnv.reset
-    seen = lambda env, **how: worlds.append(how["options"]["world"]) or reset(env, **how)  # noqa: E731
-    monkeypatch.setattr(ExploreEnv, "reset", seen)
-    watched = DummyVecEnv([lambda: HeldOutWorlds("goal", DRIVE, 2)])
+    reset, watched = ExploreEnv.reset, DummyVecEnv([lambda: HeldOutWorlds("goal", DRIVE, 2)])
     for _ in range(3):
-        before = len(worlds)
+        worlds = []
+        note = lambda env, **how: worlds.append(how["options"]["world"]) or reset(env, **how)  # noqa: B023, E731
+        monkeypatch.setattr(ExploreEnv, "reset", note)
         evaluate_policy(PPO("MultiInputPolicy", watched), watched, n_eval_episodes=2, warn=False)
-        assert set(worlds[before:][:2]) == {5000, 5001}
+        assert set(worlds[:2]) == {5000, 5001}
     with pytest.raises(ValueError, match="2 scenarios need as many --envs"):
         train("goal", [DRIVE, DRIVE], Training(output=tmp_path, envs=1), "nowhere")
 
