@@ -278,7 +278,20 @@ def association_record(answers: Sequence[Hypothesis], right: Sequence[IntArray])
         "exact": float((wrong + refused == 0.0).mean()),
         "precision": _ratio(agreed.sum(), agreed.sum() + wrong.sum()),
         "recall": _ratio(agreed.sum(), mapped.sum()),
-    }
+    } | promised(answers, right)
+
+
+def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
+    """The mean probability of the best hypothesis of a scan, and the rate at which it is right, `*` included; NaN
+    without probabilities. The two agree where the posterior is calibrated."""
+    p, hit = [], []
+    for hypothesis, of_truth in zip(answers, right):
+        if (posterior := hypothesis.posterior) is not None:
+            decided = posterior.probability >= posterior.runner_up_probability
+            best = hypothesis.features if decided else posterior.runner_up
+            p.append(max(posterior.probability, posterior.runner_up_probability))
+            hit.append(bool((best == of_truth).all()))
+    return {"promised": float(np.mean(p or math.nan)), "kept": float(np.mean(hit or math.nan))}
 
 
 def _ratio(part: float, whole: float) -> float:

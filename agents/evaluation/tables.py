@@ -56,6 +56,7 @@ _ALL = (
     # of the suite
     Column("score", "score", 3, "higher"),
     Column("spoiled", "spoiled", 3, "lower"), Column("refused", "refused", 3, "lower"),
+    Column("promised", "promised", 3), Column("kept", "kept", 3),
     # of a log
     Column("features", "feat.", 0), Column("found", "found", 0, "higher"), Column("wrong", "wrong", 0, "lower"),
     Column("clutter_features", "clut.", 0, "lower"), Column("clutter_share", "clutter accepted", 3, "lower"),

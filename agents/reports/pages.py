@@ -149,7 +149,7 @@ def headline(frame: pd.DataFrame) -> list[Table]:
 
 MISTAKES = columns("spoiled", "refused")
 EFFORT = columns("nodes", "microseconds", "limits")
-DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *EFFORT]
+DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *columns("promised", "kept"), *EFFORT]
 
 
 def suite_page(results: Results, folder: Path) -> Page:

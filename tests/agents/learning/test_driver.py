@@ -17,8 +17,7 @@ from agents.learning.driver import (
     trained,
     untrained,
 )
-from agents.learning.sketch import QUARTER, Sketch, missed_by
-from slam_gym.simulation.goals import FRONTIERS
+from agents.learning.sketch import Sketch, missed_by
 from slam_gym.weights import write
 from tests.agents.drivers.test_learned import some_tokens
 
@@ -49,17 +48,6 @@ def test_an_outline_misses_about_what_an_episode_misses(env):
         found = np.isin(np.flatnonzero(episode.site.observable), episode.identities.source_of(mapped))
         full.append(1.0 - found.mean())
     assert -0.12 < np.mean(outline) - np.mean(full) < 0.04  # a robot in outline stops and turns less, and sees at once
-
-
-def test_what_is_seen_stays_and_the_budget_ends_the_drive(env):
-    sketch, missed = begun(env, 1, 200), [1.0]
-    while not sketch.over:
-        before, legal, slot = sketch.ticks, sketch.legal, greedy(sketch)
-        assert legal[slot] and not legal[1 + FRONTIERS :].any()
-        sketch.step(slot)
-        assert sketch.ticks > before
-        missed.append(sketch.missed)
-    assert (np.diff(missed) <= 0.0).all() and missed[-1] < 0.7 and sketch.ticks < 200 + 3 * QUARTER
 
 
 # -- what is learned from them -----------------------------------------------------------------------------------------

@@ -113,9 +113,6 @@ def test_every_evaluation_is_in_the_same_held_out_worlds(tmp_path, monkeypatch):
         assert set(worlds[:2]) == {5000, 5001}
     with pytest.raises(ValueError, match="2 scenarios need as many --envs"):
         train("goal", [DRIVE, DRIVE], Training(output=tmp_path, envs=1), "nowhere")
-
-
-def test_a_folder_without_a_training_cannot_be_resumed(tmp_path):
     with pytest.raises(ValueError, match="no training to resume"):
         run(tmp_path, resumed=True)
 

@@ -2,11 +2,13 @@
 
 import math
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from agents.reports.pages import by_world, leads, relocations, scores
-from agents.suite import OUTCOMES
+from agents.suite import OUTCOMES, promised
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
 
 def results(numbers: dict[str, dict[str, list[list[float]]]], **more) -> pd.DataFrame:
@@ -47,3 +49,18 @@ def test_relocators_have_numbers_of_their_own():
     rows = relocations(results(found, **dict.fromkeys((*OUTCOMES, "nodes", "microseconds", "limits"), 2))).rows
     assert list(rows) == ["gcbb", "worse"] and rows["gcbb"]["correct"] == 2
     assert rows["gcbb"]["score"].estimate == 0.4
+
+
+def test_the_best_hypothesis_is_held_to_its_probability():
+    """The best one may not be the one decided for: then it is the runner-up."""
+
+    def answer(features, probability, runner_up, its_probability):
+        posterior = Posterior(0.0, probability, np.array(runner_up), its_probability)
+        return Hypothesis(np.array(features), 0.0, 0, Effort(), posterior)
+
+    nothing, right = [UNPAIRED, UNPAIRED], [3, UNPAIRED]
+    answers = answer(right, 0.5, nothing, 0.1), answer(nothing, 0.2, right, 0.7)
+    assert promised(answers, [np.array(right)] * 2) == {"promised": pytest.approx(0.6), "kept": 1.0}
+    assert promised(answers, [np.array([4, UNPAIRED]), np.array(right)])["kept"] == 0.5
+    silent = Hypothesis(np.array(right), 0.0, 2, Effort())
+    assert all(map(math.isnan, promised([silent], [np.array(right)]).values()))
