@@ -66,7 +66,7 @@ def total(steps):
         ({"scenario": "atlantis"}, "office-small.*corridor"),
         ({"driver": "me"}, "nearest_frontier, random"),
         ({"reward": "money"}, "truth, map_error"),
-        ({"candidates": 0}, "candidates: 0"),
+        ({"candidates": 0}, "candidates: expected a whole number"),
         ({"order": "any"}, "as_scanned"),
         ({"compatibility": "any"}, "joint, individual"),
         ({"wrong_cost": -1.0}, "wrong_cost=-1"),
