@@ -107,7 +107,7 @@ def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
     text = HYPERPARAMETERS.read_text(encoding="utf-8")
     hyper = out / "hyperparameters.toml"
     hyper.write_text(text.replace("gamma = 0.0 ", "gamma = 1.0 ") if variant.per_scan else text, encoding="utf-8")
-    training = Training(timesteps, seed, out, hyperparameters=hyper, eval_every=10 * timesteps, eval_episodes=1)
+    training = Training(timesteps, seed, out, hyperparameters=hyper, eval_every=10 * timesteps)
     train("branch", [replace(variant, scenario=name) for name in DRIFTING], training, str(out))
     learned = weights.load(path, VERSION, INPUTS, SHAPES)
     columns = np.array(learned.arrays["A"])
