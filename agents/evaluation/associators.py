@@ -44,8 +44,12 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
 
 def models_of(associators: Sequence[str]) -> dict[str, dict[str, str]]:
     """The hash of each file of weights among the associators, for results.json."""
-    files = [name for name in associators if name.endswith(".npz")]
-    return {name: {"sha256": hashlib.sha256(Path(name).read_bytes()).hexdigest()} for name in files}
+    return {name: hash_of(Path(name)) for name in associators if name.endswith(".npz")}
+
+
+def hash_of(model: Path) -> dict[str, str]:
+    """The SHA-256 of a file, as an entry of results.json."""
+    return {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
 
 
 class Metered:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
@@ -13,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from agents.drivers.base import Agent, is_learned, make_agent, visible
-from agents.evaluation.associators import Metered, contenders, metered, models_of
+from agents.evaluation.associators import Metered, contenders, hash_of, metered, models_of
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem
@@ -109,7 +108,7 @@ def _warm_up(loop: ExploreArguments, drivers: Sequence[Driver], episode: int) ->
 
 def _describe(model: Path) -> dict[str, Any]:
     """The hash of a model file, and its description of the training."""
-    known: dict[str, Any] = {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
+    known: dict[str, Any] = {**hash_of(model)}
     from agents.learning.policies import read_about  # imports torch, which only learned agents need
 
     try:

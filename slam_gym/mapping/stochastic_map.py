@@ -309,8 +309,9 @@ class StochasticMap:
     def save(self, path: str | Path) -> None:
         """Write the contents of the map and its settings into an .npz file. Raises ValueError for a map of more than
         1 GB, some 5 700 features."""
-        parts = {field.name: getattr(self.state, field.name) for field in fields(MapState)}
-        if self.state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
+        state = self.state
+        parts = {field.name: getattr(state, field.name) for field in fields(MapState)}
+        if state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
             raise ValueError(f"{path}: a map of {self.n} features is too large for a file")
         with Path(path).open("wb") as file:
             np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)

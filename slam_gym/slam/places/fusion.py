@@ -50,9 +50,9 @@ class MappedArea(NamedTuple):
     covisibility: CovisibilityGraph
 
     @property
-    def began(self) -> float:
-        """The id of the first feature: maps that began earlier have smaller ones. Infinite for an empty map."""
-        return float(self.map.ids.min(initial=np.iinfo(np.int64).max))
+    def began(self) -> int:
+        """The least id of a feature, less for maps that began earlier; the greatest integer for an empty map."""
+        return int(self.map.ids.min(initial=np.iinfo(np.int64).max))
 
     def only(self, features: BoolArray) -> MappedArea:
         """A copy with the robot and those features (n,) alone."""
@@ -202,8 +202,10 @@ def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> 
         column = int(D[row].argmin())
         one, other = int(recently_seen[row]), int(established[column])
         alike = attributes_agree(m, np.array([one]), np.array([other])).all()
-        rivals = np.isfinite(m.distances_between(np.array([other]), established, _INFLATION**2 * gate)).sum()
-        if other not in graph.neighbours(one) and alike and rivals == 1:
+        if other in graph.neighbours(one) or not alike:
+            continue
+        of_other = m.distances_between(np.array([other]), established, _INFLATION**2 * gate)
+        if np.isfinite(of_other).sum() == 1:
             compatible[min(one, other), max(one, other)] = bool(D[row, column] < gate)
     candidates = _one_to_one(np.array(list(compatible), np.int64).reshape(-1, 2))
     pairs = [pair for pair in candidates.tolist() if _are_one(m, graph, pair, candidates, compatible[tuple(pair)])]
