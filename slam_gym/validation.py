@@ -57,13 +57,14 @@ LIMITS: dict[str, dict[str, Limits]] = {
     "SlamSpec": {
         "reach": (1e-3, 1e9), "new_confidence": _CONFIDENCE, "recent": _COUNT, "lost_fraction": _SHARE,
         "lost_scans": _COUNT, "min_expected": _COUNT, "max_chance_probability": _SHARE,
+        "max_accidental_matches": (1e-9, math.inf),
     },
     "RecognitionSpec": {
         "node_limit": (1, 10**9), "every": (1, 10**9), "group": (3, 1000), "recent": (1, 10**9),
         "min_pairs": (3, 10**9), "margin": (0, 10**9), "min_fraction": _SHARE, "confidence": _CONFIDENCE,
         "inflation": (1.0, 1e3), "min_loop_pairs": (3, 10**9), "max_accidental_loops": (1e-9, 1e9),
     },
-    "AtlasSpec": {"max_accidental_matches": (1e-9, math.inf), "patience": (0, 10**9), "rejoin": (1, 10**9)},
+    "AtlasSpec": {"patience": (0, 10**9), "rejoin": (1, 10**9)},
 }  # fmt: skip
 """Least and greatest value of each numeric setting, by the name of its dataclass.
 

@@ -229,13 +229,10 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     held fixed."""
     near = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
     paired = np.concatenate([near, np.flatnonzero(old)])
-    rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
-    S = prediction.joint(rows)
-    S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
+    S, blocks, sizes = _innovations(scan, prediction, features, paired)
+    blocks, sizes = blocks[len(near) :], sizes[len(near) :]
     log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(near), : 2 * len(near)])[1]
     n, state, gate = prediction.size[1], prediction.source[1], chi2_gate(2, prediction.confidence)
-    blocks = (prediction.covariances[rows] + noise)[len(near) :]
-    sizes = np.sqrt(np.linalg.det(blocks))
     everywhere = _others_in_gates(state[3 : 3 + 2 * n].reshape(n, 2), gate * sizes)
     confirmed = prediction.positions[~prediction.provisional]
     sample = confirmed[:: max(len(confirmed) // _SPACED, 1)]
@@ -244,6 +241,32 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     in_reach = (squared < gate).sum(axis=(1, 2)) / max(len(sample), 1) - 1.0
     others = np.maximum(everywhere, in_reach)
     return _log_expected_sets(len(features) - len(near), float(log_det), others, sizes, prediction.confidence)
+
+
+def log_expected_near(scan: Scan, prediction: Prediction, features: IntArray) -> float:
+    """log of the expected number of accidental hypotheses with as many pairings as that of a scan with `features` (m,),
+    of a robot that is not where the prediction places it, among the features in reach as if these were uniformly
+    distributed; inf without pairings."""
+    paired = np.flatnonzero(features != UNPAIRED)
+    if not len(paired):
+        return math.inf
+    S, _, sizes = _innovations(scan, prediction, features, paired)
+    squared_reach = max(float((prediction.positions**2).sum(axis=1).max()), VARIANCE_FLOOR)
+    others = len(prediction) * chi2_gate(2, prediction.confidence) * sizes / squared_reach
+    log_det = float(np.linalg.slogdet(S)[1])
+    return _log_expected_sets(len(features), log_det, others, sizes, prediction.confidence)
+
+
+def _innovations(
+    scan: Scan, prediction: Prediction, features: IntArray, paired: IntArray
+) -> tuple[Array, Array, Array]:
+    """The joint covariance (2p, 2p) of the innovations of the pairings of measurements `paired` (p,) with `features`
+    (m,), its blocks (p, 2, 2), and √det of these (p,)."""
+    rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
+    S = prediction.joint(rows)
+    S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
+    blocks = prediction.covariances[rows] + noise
+    return S, blocks, np.sqrt(np.linalg.det(blocks))
 
 
 def log_expected_pairs(nu: Array, S: Array, choices: int, positions: Array, confidence: float) -> float:

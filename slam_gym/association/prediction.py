@@ -290,7 +290,6 @@ class StartRule(Enum):
     """The rule by which measurements of a scan start features. One rule applies to the whole scan."""
 
     FITS_NOTHING = "unpaired, and compatible with nothing that was expected"
-    FITS_NOTHING_NEAR = "pairings with old features were rejected as accidental: compatible with nothing seen lately"
     ASSOCIATOR = "the associator says that they are new"
 
     @classmethod
@@ -325,7 +324,7 @@ def predict(
     scan: Scan | None = None,
     graph: CovisibilityGraph | None = None,
     recent: IntArray = _NO_RECENT,
-    accidental: tuple[float, float, bool] = (0.0, math.inf, False),
+    accidental: tuple[float, float] = (0.0, math.inf),
     sight: ViewsFrom | None = None,
     view_moves: bool = True,
     experience: Experience | None = None,
@@ -336,8 +335,8 @@ def predict(
         scan: checked before the robot moves.
         graph: covisibility graph that defines the localities; None: all features are local to each other.
         recent: (r,) features paired in recent scans, or UNPAIRED; they and the features local to them are near.
-        accidental: χ² gate of a pairing; the number of accidental matches expected in the gate of a feature that is not
-            near above which it is left out; and whether one is left out that may be the same as a near feature.
+        accidental: χ² gate of a pairing; and the number of accidental matches expected in the gate of a feature that is
+            not near above which it is left out.
         sight: computes what the sensor has in view from a pose.
         view_moves: whether a hypothesis may compute visibility from the pose that it implies; False where the pose is
             poorly known.

@@ -39,9 +39,9 @@ LocalityArrays = tuple[IntArray, IntArray, IntArray]
 """Neighbours and degrees of the covisibility graph, empty where all features are near; (r,) features that recent scans
 paired, or UNPAIRED."""
 
-Rule = tuple[float, bool, float, float, bool]
+Rule = tuple[float, bool, float, float]
 """Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
-the gate of an old feature above which it is not offered; whether old features that may be near ones are not offered."""
+the gate of an old feature above which it is not offered."""
 
 
 def rows_for(n: int) -> RowArrays:
@@ -92,7 +92,7 @@ def foresee(
     Returns the number of rows k. Raises ValueError, before the robot moves, as `check_scan` and `ekf.predict`.
     """
     (x, P, counted, sized), (n, step), (motion, Q) = arrays, counts, odometry
-    (reach, second_order, gate, most, no_duplicates), (neighbours, degrees, recent), k = rule, locality, 0
+    (reach, second_order, gate, most), (neighbours, degrees, recent), k = rule, locality, 0
     check_measurements(scan[0], scan[1])
     if len(motion) > 0:
         ekf.predict(x, P, 3 + 2 * n, motion, Q)
@@ -128,29 +128,22 @@ def foresee(
     if most == math.inf:
         return k
     per_area = k * gate / (reach * reach) if k > 0 else 0.0
-    return keep_unambiguous(out, k, (x, P), per_area, most, gate if no_duplicates else 0.0)
+    return keep_unambiguous(out, k, P, per_area, most)
 
 
 @compiled
-def keep_unambiguous(
-    rows: RowArrays, k: int, state: tuple[Array, Array], per_area: float, most: float, gate: float
-) -> int:
-    """Drop, of k rows, the old features for which more than `most` accidental matches are expected, and those whose D²
-    to a near feature is below the χ² `gate`; returns how many rows are left, in front of the others.
+def keep_unambiguous(rows: RowArrays, k: int, P: Array, per_area: float, most: float) -> int:
+    """Drop, of k rows, the old features for which more than `most` accidental matches are expected; returns how many
+    rows are left, in front of the others.
 
     Old features are those that are not near: not local to any that was paired lately. The uncertainty of an old feature
     is measured relative to the most central near feature, because the uncertainty of the robot's pose is common to all.
     The number of other features in its gate is proportional to the gate's area, as if features were uniformly
     distributed: `per_area` is the number of features in a gate for each [m²] of √det of its covariance.
-
-    A near feature in the gate of an old one may be its duplicate, started where a pairing with the old one was
-    rejected. Both would explain a measurement, and an associator that weighs all hypotheses would pair it with neither.
     """
-    (known, sizes, near, positions, covariances, across), (mean, P), x, y, near_count = rows, state, 0.0, 0.0, 0
-    near_ones = np.empty(k, np.int64)
+    (known, sizes, near, positions, covariances, across), x, y, near_count = rows, 0.0, 0.0, 0
     for row in range(k):
         if near[row]:
-            near_ones[near_count] = known[0, row]
             x, y, near_count = x + positions[row, 0], y + positions[row, 1], near_count + 1
     central, least, kept = UNPAIRED, math.inf, 0
     for row in range(k):
@@ -162,9 +155,6 @@ def keep_unambiguous(
         if not near[row] and central != UNPAIRED:
             xx, xy, yy = ekf.relative_covariance(P, central, known[0, row])
             if per_area * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
-                continue
-            old = known[:1, row].copy()
-            if gate > 0.0 and np.isfinite(ekf.distances_between(mean, P, old, near_ones[:near_count], gate)).any():
                 continue
         near[kept] = near[row]  # entry by entry: slices take two seconds to compile
         for i in range(2):

@@ -5,6 +5,7 @@
           EDGE_SE2_XY i l x y I11 I12 I22                    landmark l in the frame of pose i
           FIX i                                              is ignored
     iSAM  ODOMETRY i j dx dy dθ R11 R12 R13 R22 R23 R33      square root information, RᵀR = I
+          EDGE2 …                                              the same under another name
           LANDMARK i l x y R11 R12 R22
 
 Poses are read in the order of their numbers; an edge must lead to each from the one before it. There are no time
@@ -28,7 +29,7 @@ from slam_gym.types import Array
 _MAX_BYTES = 1 << 25
 _AT_START = 1e-12  # [m²], [rad²] variances of the first pose, which is the start of the log
 _G2O = {"VERTEX_SE2": (1, 3, 0), "VERTEX_XY": (1, 2, 0), "EDGE_SE2": (2, 3, 6), "EDGE_SE2_XY": (2, 2, 3)}
-_ISAM = {"ODOMETRY": (2, 3, 6), "LANDMARK": (2, 2, 3)}
+_ISAM = {"ODOMETRY": (2, 3, 6), "EDGE2": (2, 3, 6), "LANDMARK": (2, 2, 3)}
 """For each tag, how many numbers are the key of an entry, its mean and its weight."""
 
 
@@ -56,7 +57,7 @@ def isam(path: str | Path) -> Recording:
     """Read a log in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
     with naming(path):
         entries = _read(Path(path), _ISAM)
-        return _recording(Path(path), entries["ODOMETRY"], entries["LANDMARK"], True, {}, {})
+        return _recording(Path(path), entries["ODOMETRY"] + entries["EDGE2"], entries["LANDMARK"], True, {}, {})
 
 
 def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[_Entry]]:

@@ -190,13 +190,13 @@ def floor_budget(plan: FloorPlan, like: Scenario) -> int:
 LOG_SETTINGS = SlamSpec(
     MapSpec(unconfirmed_age=20),
     new_confidence=1.0 - 1e-12,
+    max_accidental_matches=1.0,
     max_chance_probability=0.05,
-    start_features_from_rejected=True,
+    trust_marginals=False,
 )
-"""Settings for real data: those of logs without settings of their own. The reach is taken from the scans. With a
-limited field of view, a returning robot first sees a single old feature, or an unmapped one beside it. The gate of new
-features is wide, 7.4 σ, since the errors of real logs have heavy tails and last for several scans; closer features are
-mapped as one."""
+"""Settings for real data: those of logs without settings of their own. The reach is taken from the scans. The gate of
+new features is wide, 7.4 σ, since the errors of real logs have heavy tails and last for several scans; closer features
+are mapped as one."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
 """A trunk must be seen in five of twenty scans. With two sightings, the map of the first half has 118 more features, of

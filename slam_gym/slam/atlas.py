@@ -3,17 +3,15 @@
 **Loops.** When the robot returns to an old part of the map, its drift makes the features there ambiguous: relative to
 the features just paired they are so uncertain that others lie within their gates. A scan pairs such features wrongly
 now and then, and one wrong scan can ruin the map. So they are not offered to the associator, but left to the search for
-loops (`slam.places.loops`), which pairs them with the whole recent part of the map. (Associators that weigh all
-hypotheses are offered ambiguous features too, unless `SlamSpec.start_features_from_rejected` is set.)
+loops (`slam.places.loops`), which pairs them with the whole recent part of the map.
 
 **First links.** Where a scan pairs one or two features that the robot has not seen for long, the measurement may come
 from an unmapped neighbour half a metre away: a door has two jambs, and 20 m away a gate is as wide. Such pairings are
-rejected until there are so many that chance hardly explains them all (`association.acceptance`). With few other
-features in view, the robot soon becomes so uncertain that every measurement is compatible with something, and the map
-learns nothing more: with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new
-feature, and the recent part of the map grows all the same. Associators that weigh all hypotheses, such as `marginal`,
-already refuse ambiguous pairings, and would pair too little if more were rejected. With that setting the same rules
-hold for them as for all others, the rule for new features included.
+rejected until there are so many that chance hardly explains them all (`association.acceptance`).
+
+**Associators that weigh all hypotheses,** such as `marginal`, refuse ambiguous pairings themselves, and say which
+measurements are new. They are exempt from both rules where the errors are those of the model
+(`SlamSpec.trust_marginals`). On real logs they are not: their probabilities are those of a model that does not hold.
 
 **Second map.** A robot that was lost for some scans goes on in a new map. It starts there at its pose by odometry, so
 that coordinates remain roughly those of B; in the new map, this pose is known exactly. The recent part of this map is
@@ -35,7 +33,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam_gym.association.acceptance import are_accidental
-from slam_gym.association.prediction import Prediction, SlamStep, StartRule, expected_of
+from slam_gym.association.prediction import Prediction, SlamStep, expected_of
 from slam_gym.association.tracking.near_first import joint_distance_of
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -51,7 +49,6 @@ from slam_gym.slam.places.fusion import (
 from slam_gym.slam.places.loops import find_loop
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import fit_nothing
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
 from slam_gym.validation import check_settings
 
@@ -61,7 +58,6 @@ class AtlasSpec:
     """Settings of an atlas."""
 
     recognition: RecognitionSpec = field(default_factory=RecognitionSpec)
-    max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] between attempts to recognise an inactive map
 
@@ -83,62 +79,57 @@ class Atlas:
     Arguments:
         spec: settings.
         relocate: finds a scan in an inactive map.
-        max_chance_probability: as in `SlamSpec`.
-        start_features_from_rejected: whether measurements whose pairing was rejected start features.
+        max_accidental_matches, max_chance_probability, trust_marginals: as in `SlamSpec`.
     """
 
     def __init__(
-        self, spec: AtlasSpec, relocate: Relocate, max_chance_probability: float, start_features_from_rejected: bool
+        self,
+        spec: AtlasSpec,
+        relocate: Relocate,
+        max_accidental_matches: float,
+        max_chance_probability: float,
+        trust_marginals: bool,
     ) -> None:
         self.spec = spec
         self.inactive: list[MappedArea] = []  # not joined yet, oldest first
         self.fusions: list[FusionRecord] = []
-        self.max_accidental_matches = spec.max_accidental_matches
+        self.max_accidental_matches = max_accidental_matches
         self.max_chance_probability = max_chance_probability
-        self.starts_from_rejected = start_features_from_rejected and self.max_chance_probability < 1.0
+        self.trust_marginals = trust_marginals
         self._relocate = relocate
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
 
     def most_accidental(self, experience: Experience | None) -> float:
         """The number of accidental matches in the gate of an old feature above which that feature is not offered.
 
-        An associator that returns an `experience` weighs all hypotheses. It refuses ambiguous pairings itself, and
-        would start new features in place of those it is not offered, which only `starts_from_rejected` wants.
+        An associator that returns an `experience` weighs all hypotheses.
         """
-        return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
+        return math.inf if experience is not None and self.trust_marginals else self.max_accidental_matches
 
     def trust_associator(self) -> None:
         """Withhold no ambiguous feature from the associator from now on, and reject none of its pairings."""
-        self.max_accidental_matches, self.max_chance_probability = math.inf, 1.0
-        self.starts_from_rejected = False
+        self.max_accidental_matches, self.max_chance_probability, self.trust_marginals = math.inf, 1.0, True
 
-    def accepted(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float
-    ) -> tuple[Hypothesis, StartRule]:
-        """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`), and the
-        rule by which measurements start features.
+    def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`).
 
-        An associator that weighs all hypotheses already refuses ambiguous pairings. With `starts_from_rejected` only
-        its pairings count, and new features start by the rule of the step, whose gate is `new_gate`.
+        Of an associator that weighs all hypotheses and is not exempt, only the pairings count, and new features start
+        by the rule of the step.
         """
         weighs_all = hypothesis.experience is not None
-        if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
-            return hypothesis, StartRule.of(hypothesis)
+        if weighs_all and self.trust_marginals:
+            return hypothesis
+        pairings = replace(hypothesis, new=None) if weighs_all else hypothesis
+        if self.max_chance_probability >= 1.0:
+            return pairings
         rejected = are_accidental(scan, prediction, hypothesis.features, self.max_chance_probability)
         if not rejected.any():
-            believed = replace(hypothesis, new=None) if weighs_all else hypothesis
-            return believed, StartRule.of(believed)
+            return pairings
         features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
         offered = np.isin(features, prediction.features)
         rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
         distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
-        remaining = replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
-        if self.starts_from_rejected:
-            new, near = np.empty(len(scan), np.bool_), prediction.near
-            expected = prediction.positions[near], prediction.covariances[near]
-            fit_nothing(*scan.arrays[:2], features, expected, new_gate, new)
-            return replace(remaining, new=new), StartRule.FITS_NOTHING_NEAR
-        return remaining, StartRule.FITS_NOTHING
+        return replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
-from slam_gym.association.acceptance import min_pairings
+from slam_gym.association.acceptance import log_expected_near, min_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -27,6 +27,7 @@ _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
 _SLIP_CONFIDENCE = 0.9999  # of the joint test of pairings without slip
+_HARDLY_ACCIDENTAL = math.log(0.005)  # of the expected number of accidental hypotheses with as many pairings
 _BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 SEARCH = "gcbb"
@@ -73,6 +74,7 @@ class Tracker:
         self._last_paired: IntArray = np.empty(0, np.int64)
         # (m,) features paired by the last scan that was believed, or UNPAIRED
         self._least_cosine = 1.0  # of the bearings of all measurements so far
+        self._farthest = 0.0  # [m] distance of all measurements so far
 
     @property
     def lost(self) -> bool:
@@ -88,19 +90,19 @@ class Tracker:
             return False
         if not prediction.has_view:
             self.look(scan.points)
-        if self._is_believable(prediction, hypothesis):
+        if self._is_believable(scan, prediction, hypothesis):
             self.accept(hypothesis)
             return True
         self.doubted += 1
         return False
 
-    def suspects_slip(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+    def suspects_slip(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether the wheels may have slipped since the last scan: this one is not believed, or its pairings fit worse
         than errors of a normal motion explain. Never where the view is known, since doubts are reliable there."""
         if self.lost or prediction.has_view or len(hypothesis.features) < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
-        return not fits or not self._is_believable(prediction, hypothesis)
+        return not fits or not self._is_believable(scan, prediction, hypothesis)
 
     def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
         """Whether the hypothesis `after`, for a `prediction` with slip, pairs half of the scan and no less than the one
@@ -112,9 +114,11 @@ class Tracker:
         return established >= least and fits
 
     def look(self, points: Array) -> None:
-        """Learn from measurements (m, 2) [m] in R how far to either side the sensor can look."""
-        ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
+        """Learn from measurements (m, 2) [m] in R how far the sensor can look, ahead and to either side."""
+        distances = np.hypot(points[:, 0], points[:, 1])
+        ahead = points[:, 0] / np.maximum(distances, _NEAREST)
         self._least_cosine = min(float(ahead.min(initial=1.0)), self._least_cosine)
+        self._farthest = max(float(distances.max(initial=0.0)), self._farthest)
 
     def accept(self, hypothesis: Hypothesis) -> None:
         """End all doubts: tracking goes on from this hypothesis."""
@@ -129,7 +133,7 @@ class Tracker:
         """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
         self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
 
-    def _is_believable(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+    def _is_believable(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether the hypothesis pairs enough, by the rules of this class."""
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
         measured = len(hypothesis.features)
@@ -139,7 +143,11 @@ class Tracker:
             expected = prediction.features[~prediction.provisional & self._should_be_seen(prediction)]
             missing = np.count_nonzero(~np.isin(expected, hypothesis.features)) > (1.0 - self.fraction) * len(expected)
             explained = not missing or min(len(expected), measured) < 2 * self.min_expected
-        return (explained and not self.lost) or not self._misses_too_much(prediction, hypothesis)
+        if (explained and not self.lost) or not self._misses_too_much(prediction, hypothesis):
+            return True
+        if self.lost or prediction.has_view:
+            return False
+        return log_expected_near(scan, prediction, hypothesis.features) < _HARDLY_ACCIDENTAL
 
     def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         established = ~prediction.provisional
@@ -164,9 +172,10 @@ class Tracker:
         return (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
 
     def _in_sector(self, positions: Array) -> BoolArray:
-        """(k,) which of the positions (k, 2) in R lie in a direction in which the sensor has measured before."""
-        ahead: BoolArray = positions[:, 0] >= self._least_cosine * np.hypot(positions[:, 0], positions[:, 1])
-        return ahead
+        """(k,) which of the positions (k, 2) in R lie in the sector in which the sensor has measured before."""
+        distances = np.hypot(positions[:, 0], positions[:, 1])
+        inside: BoolArray = (positions[:, 0] >= self._least_cosine * distances) & (distances <= self._farthest)
+        return inside
 
 
 @compiled

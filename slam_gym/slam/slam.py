@@ -57,9 +57,11 @@ class SlamSpec:
     # measurements, is doubted …
     lost_scans: int = 5  # … and after so many doubted scans in a row the robot is lost
     min_expected: int = 3  # fewest expected features, or measurements, from which a doubt can begin
+    max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     max_chance_probability: float = 1.0  # expected number of accidental hypotheses with as many pairings, above which
     # all pairings with old features are rejected; 1: never
-    start_features_from_rejected: bool = False  # a measurement whose pairing was rejected starts a feature
+    trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from these two rules, and say which
+    # measurements are new; both rules need an atlas
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -97,9 +99,8 @@ class Slam:
         if atlas is not None:
             if relocate is None:
                 raise ValueError("atlas: needs `relocate`, which finds a lost robot")
-            self.atlas = Atlas(
-                atlas, relocate, self.spec.max_chance_probability, self.spec.start_features_from_rejected
-            )
+            limits = self.spec.max_accidental_matches, self.spec.max_chance_probability, self.spec.trust_marginals
+            self.atlas = Atlas(atlas, relocate, *limits)
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
         self._missed_loops = MissedLoops()
@@ -151,21 +152,18 @@ class Slam:
         if prediction.estimate is not self.map.estimate:
             raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
-        if self.tracker is not None and self.tracker.suspects_slip(prediction, hypothesis):
+        if self.tracker is not None and self.tracker.suspects_slip(scan, prediction, hypothesis):
             prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker)
         if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
             return self.close_loops(self.relocate(scan, prediction), scan)
-        rule = StartRule.of(hypothesis)
         if self.tracker is not None and self.atlas is not None:
             believed = hypothesis
-            hypothesis, rule = self.atlas.accepted(scan, prediction, hypothesis, self._new_gate)
+            hypothesis = self.atlas.accepted(scan, prediction, hypothesis)
             if hypothesis is not believed:
                 self.tracker.accept(hypothesis)  # features of rejected pairings are not expected in the next scan
-        return self.close_loops(self.update(scan, prediction, hypothesis, rule), scan)
+        return self.close_loops(self.update(scan, prediction, hypothesis), scan)
 
-    def update(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, rule: StartRule = StartRule.FITS_NOTHING
-    ) -> SlamStep:
+    def update(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update the map with the pairings, add new features, and remove features that were not confirmed in time.
 
         `hypothesis.new` says which measurements start a feature. If it is None, a measurement starts one if it is
@@ -195,7 +193,7 @@ class Slam:
         self._missed_loops.learn(self._learned, prediction, hypothesis)
         removed = self._forget(due) if due else _NO_FEATURES
         m.end_of_step()
-        return SlamStep(prediction, hypothesis, ids, created, removed, rule)
+        return SlamStep(prediction, hypothesis, ids, created, removed, StartRule.of(hypothesis))
 
     def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
         """The step of a doubted scan: the map learns from it only if the robot is lost and the scan finds it again.
@@ -277,10 +275,9 @@ class Slam:
         reach = self.reach
         if self.spec.reach is None:
             reach = max(reach, _farthest(scan.points, scan.covariances))
-        starts_duplicates = self.atlas is not None and self.atlas.starts_from_rejected
         prediction = predict(
             self.map, reach, odometry=odometry, scan=scan, graph=self.covisibility if self.spec.locality else None,
-            recent=self._recent.ravel(), accidental=(self._gate, most_accidental, starts_duplicates),
+            recent=self._recent.ravel(), accidental=(self._gate, most_accidental),
             sight=self.view_from, experience=self._experience,
         )  # fmt: skip
         self._farthest = reach
@@ -294,7 +291,7 @@ class Slam:
 
         Nothing has slipped where `marginal` can explain the scan with the given prediction: the associator failed.
         """
-        if not tracker.suspects_slip(prediction, marginal(scan, prediction)):
+        if not tracker.suspects_slip(scan, prediction, marginal(scan, prediction)):
             return prediction, hypothesis
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()

@@ -14,6 +14,7 @@ from slam_gym.association.acceptance import (
     crowding_of,
     extent,
     log_expected,
+    log_expected_near,
     log_expected_old,
     log_expected_pairs,
     min_pairings,
@@ -166,9 +167,8 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
                 P = m.covariance_of(np.array([amid, features[row]]))
                 relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
                 expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
-        kept, gate = near | (expected <= most), (seed % 3) * 1.0
-        kept &= near | ~np.isfinite(m.distances_between(features, features[near], gate)).any(axis=1)
-        count = keep_unambiguous(p.rows, len(p), m.arrays[:2], per_area, most, gate)
+        kept = near | (expected <= most)
+        count = keep_unambiguous(p.rows, len(p), m.arrays[1], per_area, most)
         np.testing.assert_array_equal(p.features[:count], features[kept])
         np.testing.assert_array_equal(p.positions[:count], at[kept])
         left.append(len(features) - count)
@@ -213,7 +213,7 @@ def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> 
 @pytest.mark.parametrize(("k", "uncertain"), [(1, 0.2), (2, 0.8)])
 def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, uncertain: float) -> None:
     """Two measurements of nothing in the map, from a pose that is poorly known: how often k of them are paired."""
-    counted, expected = 0, 0.0
+    counted, expected, uniform = 0, 0.0, 0.0
     for seed in range(400):
         rng = np.random.default_rng(seed)
         m = StochasticMap(MapSpec(confirmations=1))
@@ -225,8 +225,11 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
         counted += int((jcbb(scan, p).features != UNPAIRED).sum() >= k)
         old = np.arange(2) < k
         rows = rng.choice(np.flatnonzero(np.abs(p.positions).max(axis=1) < 10.0), 2, replace=False)
-        expected += np.exp(log_expected_old(scan, p, np.where(old, p.features[rows], UNPAIRED), old))
+        paired = np.where(old, p.features[rows], UNPAIRED)
+        expected += np.exp(log_expected_old(scan, p, paired, old))
+        uniform += np.exp(log_expected_near(scan, p, paired))
     assert counted >= 20 and counted / 1.5 < expected < 1.5 * counted, f"{counted}, not {expected}"
+    assert counted / 2.0 < uniform < 1.5 * counted, f"{counted}, not {uniform}"
 
 
 def test_sets_of_pairs_are_expected_by_the_formula_and_no_more_often_by_chance() -> None:

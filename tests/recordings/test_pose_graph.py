@@ -30,7 +30,7 @@ def files(folder):
         one.append(f"VERTEX_SE2 {i} {numbers(pose)}")
         if i:
             one.append(f"EDGE_SE2 {i - 1} {i} {numbers(STEP)} {upper(np.linalg.inv(MOTION))}")
-            other.append(f"ODOMETRY {i - 1} {i} {numbers(STEP)} {upper(root[3])}")
+            other.append(f"{('ODOMETRY', 'EDGE2')[i % 2]} {i - 1} {i} {numbers(STEP)} {upper(root[3])}")
         for number, place in LANDMARKS.items():
             inverse = compose(np.zeros(3), pose)
             c, s = np.cos(inverse[2]), np.sin(inverse[2])

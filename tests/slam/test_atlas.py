@@ -20,7 +20,7 @@ from tests.slam.rings import REACH, VIEW, Drive, drive, duplicates, map_it, ring
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
-EARLY = AtlasSpec(max_accidental_matches=0.1)
+EARLY = replace(SPEC, max_accidental_matches=0.1)
 """So small a ring and so great a drift: old features are left to the loops early."""
 
 
@@ -63,7 +63,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
     for seed in range(4):
         log = loop_drive(seed)
         plain, without = map_it(Slam(SPEC), log)
-        slam = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
+        slam = Slam(EARLY, VIEW, relocate=nobody, atlas=AtlasSpec())
         judged, error = map_it(slam, log)
         assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0, f"seed {seed}"
         assert duplicates(judged) <= 1, f"seed {seed}"
@@ -75,7 +75,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
 
 def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_joined() -> None:
     for seed in range(4):
-        slam = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
+        slam = Slam(EARLY, VIEW, relocate=nobody, atlas=AtlasSpec())
         judged, _ = map_it(slam, loop_drive(seed, 340, 100, 0.014))
         joined = fused(slam, "maps")
         assert len(joined) == 1 == len(slam.maps), f"seed {seed}"
@@ -88,7 +88,7 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_j
 def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covariance() -> None:
     distances = []
     for seed in range(6):
-        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
+        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(EARLY, VIEW, relocate=nobody, atlas=AtlasSpec())
         judged, _ = map_it(slam, log)
         if not fused(slam, "maps"):
             continue
@@ -105,7 +105,8 @@ def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covarianc
 
 def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
     log = loop_drive(0, 200, drift=0.004)
-    plain, atlas = Slam(SPEC, relocate=nobody), Slam(SPEC, relocate=nobody, atlas=AtlasSpec(max_accidental_matches=1e9))
+    everything = replace(SPEC, max_accidental_matches=1e9)
+    plain, atlas = Slam(SPEC, relocate=nobody), Slam(everything, relocate=nobody, atlas=AtlasSpec())
     for odometry, scan, _ in log.steps:
         one, other = plain.step(odometry, scan), atlas.step(odometry, scan)
         np.testing.assert_array_equal(one.ids, other.ids)
@@ -117,7 +118,7 @@ def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
 def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_atlas() -> None:
     """It would take for new what it is not offered."""
     log, maps = loop_drive(2, 250), []
-    for slam in (Slam(SPEC), Slam(SPEC, relocate=nobody, atlas=EARLY)):
+    for slam in (Slam(SPEC), Slam(EARLY, relocate=nobody, atlas=AtlasSpec())):
         for odometry, scan, _ in log.steps:
             slam.step(odometry, scan, "marginal")
         maps.append(slam.map)
@@ -127,18 +128,18 @@ def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_
 
 def test_the_true_association_is_offered_everything_and_none_of_its_pairings_is_rejected() -> None:
     log = loop_drive(2, 250)
-    rejecting = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True)
-    slams = (Slam(SPEC), Slam(rejecting, relocate=nobody, atlas=EARLY))
+    rejecting = replace(EARLY, max_chance_probability=0.05, trust_marginals=False)
+    slams = (Slam(SPEC), Slam(rejecting, relocate=nobody, atlas=AtlasSpec()))
     judged = [map_it(slam, log, "true_association")[0] for slam in slams]
     assert [duplicates(one) for one in judged] == [0, 0] and judged[1].tally.recall == 1.0
     np.testing.assert_array_equal(slams[0].map.mean, slams[1].map.mean)
 
 
 def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_one_rule() -> None:
-    rejecting, kept = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True), []
+    rejecting, kept = replace(EARLY, max_chance_probability=0.05, trust_marginals=False), []
     for seed in range(4):
         log = loop_drive(seed)
-        by_itself, by_rule = (Slam(spec, VIEW, relocate=nobody, atlas=EARLY) for spec in (SPEC, rejecting))
+        by_itself, by_rule = (Slam(spec, VIEW, relocate=nobody, atlas=AtlasSpec()) for spec in (EARLY, rejecting))
         (without, _), (judged, _) = (map_it(slam, log, "marginal") for slam in (by_itself, by_rule))
         assert fused(by_rule, "loop") and sources_differ(judged, fused(by_rule, "loop")) == 0, f"seed {seed}"
         assert not fused(by_itself, "loop") and duplicates(judged) <= 1, f"seed {seed}"
@@ -146,33 +147,21 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
     assert max(kept) > 5
 
 
-def test_a_measurement_whose_pairing_is_rejected_starts_a_feature_where_it_is_told_to() -> None:
-    """Landmarks stand in pairs, so that one old feature is no proof; the step says by which rule features start."""
+def test_a_pairing_that_is_rejected_updates_and_starts_nothing() -> None:
+    """Landmarks stand in pairs, so that one old feature is no proof."""
     rng = np.random.default_rng(3)
     landmarks = ring_of_landmarks(rng)
     log = drive(np.concatenate([landmarks, landmarks + 0.5]), rng, 330, 0.02)
-    never_ambiguous = AtlasSpec(max_accidental_matches=1e9)
-    believing, waiting, starting = (
-        Slam(
-            replace(SPEC, max_chance_probability=most, start_features_from_rejected=start),
-            VIEW,
-            relocate=nobody,
-            atlas=never_ambiguous,
-        )
-        for most, start in ((1.0, False), (0.05, False), (0.05, True))
-    )
+    specs = [replace(SPEC, max_accidental_matches=1e9, max_chance_probability=most) for most in (1.0, 0.05)]
+    believing, waiting = (Slam(spec, VIEW, relocate=nobody, atlas=AtlasSpec()) for spec in specs)
     for odometry, scan, _ in log.steps:
-        paired, held, begun = (slam.step(odometry, scan) for slam in (believing, waiting, starting))
+        paired, held = (slam.step(odometry, scan) for slam in (believing, waiting))
         if (paired.ids != held.ids).any():
             break
-        np.testing.assert_array_equal(begun.ids, held.ids)
-        assert begun.rule is StartRule.FITS_NOTHING
     rejected = (held.ids == NO_ID) & (paired.ids != NO_ID)
-    assert rejected.any() and begun.created[rejected].any() and not held.created[rejected].any()
-    assert (begun.ids == held.ids)[~begun.created].all()
+    assert rejected.any() and not held.created[rejected].any() and held.rule is StartRule.FITS_NOTHING
     assert held.hypothesis.dof == 2 * held.hypothesis.pairings
     assert 0.0 < held.hypothesis.joint_distance < paired.hypothesis.joint_distance
-    assert begun.rule is StartRule.FITS_NOTHING_NEAR and held.rule is StartRule.FITS_NOTHING
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
 
 
@@ -205,7 +194,7 @@ def test_no_scan_is_searched_for_twice_in_one_map() -> None:
         searches.append((id(scan), int(m.ids[0])))
 
     log = loop_drive(0, 160, 100, 0.014)
-    map_it(Slam(SPEC, VIEW, relocate=search, atlas=replace(EARLY, rejoin=1)), log)
+    map_it(Slam(EARLY, VIEW, relocate=search, atlas=AtlasSpec(rejoin=1)), log)
     assert len(searches) == len(set(searches)) > 8
 
 

@@ -54,7 +54,7 @@ def test_a_doubted_scan_leaves_the_map_as_the_odometry_does() -> None:
 
 
 def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pose() -> None:
-    here, moved = scan_of([[1, 0], [2, 1]]), Odometry(np.array([-8.0, 0.0, 0.0]), 1e-4 * np.eye(3))
+    here, moved = scan_of([[1, 0], [3, 0]]), Odometry(np.array([0.8, 0.0, 0.0]), 1e-4 * np.eye(3))
     spec = SlamSpec(lost_scans=1, min_expected=2, reach=20.0)
     slam = Slam(spec, relocate=lambda *_: found([0, UNPAIRED], np.zeros(3)))
     slam.step(STILL, here)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.slam.relocate import Tracker
@@ -119,21 +120,29 @@ def test_one_pairing_on_new_ground_ends_no_doubt() -> None:
     assert doubts(tracker, facing(-AHEAD), paired(1)) and not doubts(tracker, facing(-AHEAD), paired(3))
 
 
-def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
+@pytest.mark.parametrize("out_of_view", [-AHEAD, 1.3 * AHEAD])
+def test_what_has_gone_out_of_the_sector_is_not_missed(out_of_view: np.ndarray) -> None:
     tracker = looking_ahead()
-    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and not doubts(tracker, facing(-AHEAD), paired(0))
+    assert not doubts(tracker, facing(AHEAD), paired(FEATURES)) and not doubts(tracker, facing(out_of_view), paired(0))
     everywhere = looking_ahead()
     everywhere.look(-AHEAD)
     assert not doubts(everywhere, facing(AHEAD), paired(FEATURES)) and doubts(everywhere, facing(-AHEAD), paired(0))
 
 
+def test_pairings_that_are_hardly_accidental_are_believed_whatever_is_missing() -> None:
+    for scale in (1.0, 20.0):
+        tracker, spread = looking_ahead(), facing(scale * AHEAD)
+        tracker.look(scale * AHEAD)
+        assert not doubts(tracker, spread, paired(FEATURES)) and doubts(tracker, spread, paired(2)) is (scale == 1.0)
+
+
 def test_slip_is_suspected_without_a_view_where_pairings_are_few_or_fit_badly_and_needs_half_of_the_scan() -> None:
-    tracker, ahead = looking_ahead(), facing(AHEAD)
+    tracker, ahead, scan = looking_ahead(), facing(AHEAD), Scan.from_points(AHEAD, sigma=0.1)
     assert not doubts(tracker, ahead, paired(FEATURES))
     badly = replace(paired(8), joint_distance=100.0)
-    assert tracker.suspects_slip(ahead, paired(0)) and tracker.suspects_slip(ahead, badly)
-    assert not tracker.suspects_slip(ahead, paired(8))
-    assert not tracker.suspects_slip(ahead.with_visibility(np.ones(FEATURES)), badly)
+    assert tracker.suspects_slip(scan, ahead, paired(0)) and tracker.suspects_slip(scan, ahead, badly)
+    assert not tracker.suspects_slip(scan, ahead, paired(8))
+    assert not tracker.suspects_slip(scan, ahead.with_visibility(np.ones(FEATURES)), badly)
     for after, confirmed in ((paired(5), True), (paired(4), False), (badly, False)):
         assert tracker.confirms_slip(paired(4), ahead, after) is confirmed
     assert not tracker.confirms_slip(paired(6), ahead, paired(5))
