@@ -44,6 +44,9 @@ hypotheses, where S is the covariance of the old features' innovations given the
 single pairing is convincing where its gate is narrow. Several pairings together are convincing even where the pose is
 poorly known: their errors have the pose in common, so that √det S is far below Π √det S_i.
 
+Whether a robot is where the prediction places it is judged by all pairings of a scan in the same way, with l the number
+of all measurements, and n_i as if the features in reach were uniformly distributed (`log_expected_pairings`).
+
 A set of k pairs of newer and older features (`slam.places.loops`) is judged by the same formula. S is the covariance of
 the differences of the pairs, l the number of newer features, and n_i the mean over the whole map. Only sets that fit as
 well are counted: the D² of the set stands for γ_{2k}. The number counts features that lie at random: it does not tell
@@ -229,8 +232,9 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     held fixed."""
     near = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
     paired = np.concatenate([near, np.flatnonzero(old)])
-    S, blocks, sizes = _innovations(scan, prediction, features, paired)
-    blocks, sizes = blocks[len(near) :], sizes[len(near) :]
+    S, every_block = _innovations(scan, prediction, features, paired)
+    blocks = every_block[len(near) :]
+    sizes = np.sqrt(np.linalg.det(blocks))
     log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(near), : 2 * len(near)])[1]
     n, state, gate = prediction.size[1], prediction.source[1], chi2_gate(2, prediction.confidence)
     everywhere = _others_in_gates(state[3 : 3 + 2 * n].reshape(n, 2), gate * sizes)
@@ -243,30 +247,27 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     return _log_expected_sets(len(features) - len(near), float(log_det), others, sizes, prediction.confidence)
 
 
-def log_expected_near(scan: Scan, prediction: Prediction, features: IntArray) -> float:
+def log_expected_pairings(scan: Scan, prediction: Prediction, features: IntArray) -> float:
     """log of the expected number of accidental hypotheses with as many pairings as that of a scan with `features` (m,),
     of a robot that is not where the prediction places it, among the features in reach as if these were uniformly
     distributed; inf without pairings."""
-    paired = np.flatnonzero(features != UNPAIRED)
+    paired = np.flatnonzero(np.isin(features, prediction.features))
     if not len(paired):
         return math.inf
-    S, _, sizes = _innovations(scan, prediction, features, paired)
     squared_reach = max(float((prediction.positions**2).sum(axis=1).max()), VARIANCE_FLOOR)
-    others = len(prediction) * chi2_gate(2, prediction.confidence) * sizes / squared_reach
-    log_det = float(np.linalg.slogdet(S)[1])
+    in_gate_of_1 = len(prediction) * chi2_gate(2, prediction.confidence) / squared_reach
+    others, sizes = np.full(len(paired), in_gate_of_1), np.ones(len(paired))
+    log_det = float(np.linalg.slogdet(_innovations(scan, prediction, features, paired)[0])[1])
     return _log_expected_sets(len(features), log_det, others, sizes, prediction.confidence)
 
 
-def _innovations(
-    scan: Scan, prediction: Prediction, features: IntArray, paired: IntArray
-) -> tuple[Array, Array, Array]:
+def _innovations(scan: Scan, prediction: Prediction, features: IntArray, paired: IntArray) -> tuple[Array, Array]:
     """The joint covariance (2p, 2p) of the innovations of the pairings of measurements `paired` (p,) with `features`
-    (m,), its blocks (p, 2, 2), and √det of these (p,)."""
+    (m,), and its blocks (p, 2, 2)."""
     rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
     S = prediction.joint(rows)
     S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
-    blocks = prediction.covariances[rows] + noise
-    return S, blocks, np.sqrt(np.linalg.det(blocks))
+    return S, prediction.covariances[rows] + noise
 
 
 def log_expected_pairs(nu: Array, S: Array, choices: int, positions: Array, confidence: float) -> float:

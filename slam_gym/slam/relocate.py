@@ -11,7 +11,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
-from slam_gym.association.acceptance import log_expected_near, min_pairings
+from slam_gym.association.acceptance import log_expected_pairings, min_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -27,7 +27,7 @@ _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
 _SLIP_CONFIDENCE = 0.9999  # of the joint test of pairings without slip
-_HARDLY_ACCIDENTAL = math.log(0.005)  # of the expected number of accidental hypotheses with as many pairings
+_HARDLY_ACCIDENTAL = math.log(0.005)  # log of an expected number of accidental hypotheses with as many pairings
 _BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 SEARCH = "gcbb"
@@ -52,10 +52,11 @@ class Tracker:
 
     Where the prediction does not tell what is in view, a scan that pairs a confirmed feature begins no doubt, unless
     most of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt
-    would keep the map from learning the features that the next scans can be paired with. The sector of directions in
-    which anything was measured so far then stands for the view: a feature that the last scan paired and that a turn has
-    put out of the sector is not expected. A doubt lasts until a scan pairs enough; a scan without measurements neither
-    ends it nor adds another.
+    would keep the map from learning the features that the next scans can be paired with. The sector in which anything
+    was measured so far then stands for the view: a feature that the last scan paired and that the motion has put out of
+    the sector is not expected. Nor is a scan doubted whose pairings chance hardly brings, whatever is missing
+    (`acceptance.log_expected_pairings`): with a sensor of short range, most of what a scan pairs is out of view in the
+    next. A doubt lasts until a scan pairs enough; a scan without measurements neither ends it nor adds another.
 
     So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
     features that walls are known to hide.
@@ -73,8 +74,8 @@ class Tracker:
         self.slips = 0  # how often the wheels have slipped
         self._last_paired: IntArray = np.empty(0, np.int64)
         # (m,) features paired by the last scan that was believed, or UNPAIRED
-        self._least_cosine = 1.0  # of the bearings of all measurements so far
-        self._farthest = 0.0  # [m] distance of all measurements so far
+        self._least_cosine = 1.0  # of the bearings of all measurements so far …
+        self._farthest = 0.0  # [m] … and the greatest of their distances
 
     @property
     def lost(self) -> bool:
@@ -147,7 +148,7 @@ class Tracker:
             return True
         if self.lost or prediction.has_view:
             return False
-        return log_expected_near(scan, prediction, hypothesis.features) < _HARDLY_ACCIDENTAL
+        return log_expected_pairings(scan, prediction, hypothesis.features) < _HARDLY_ACCIDENTAL
 
     def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         established = ~prediction.provisional

@@ -14,8 +14,8 @@ from slam_gym.association.acceptance import (
     crowding_of,
     extent,
     log_expected,
-    log_expected_near,
     log_expected_old,
+    log_expected_pairings,
     log_expected_pairs,
     min_pairings,
 )
@@ -227,7 +227,7 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
         rows = rng.choice(np.flatnonzero(np.abs(p.positions).max(axis=1) < 10.0), 2, replace=False)
         paired = np.where(old, p.features[rows], UNPAIRED)
         expected += np.exp(log_expected_old(scan, p, paired, old))
-        uniform += np.exp(log_expected_near(scan, p, paired))
+        uniform += np.exp(log_expected_pairings(scan, p, paired))
     assert counted >= 20 and counted / 1.5 < expected < 1.5 * counted, f"{counted}, not {expected}"
     assert counted / 2.0 < uniform < 1.5 * counted, f"{counted}, not {uniform}"
 
