@@ -8,7 +8,8 @@ import pytest
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.relocate import LOCALITIES, locality_of, relocate_by
+from slam_gym.scenarios.registry import LOG_SETTINGS
+from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
 from tests.slam.test_slam import scan_of
@@ -79,6 +80,21 @@ def test_wheels_that_slip_are_noticed_by_any_associator_and_the_robot_is_where_i
             slam.step(Odometry.from_motion(moved + slip, sigmas), scan, associator)
         assert np.hypot(*(slam.map.pose - pose)[:2]) < 0.2, associator
         assert slam.tracker is not None and slam.tracker.slips >= 2 and not slam.doubted
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_of_short_sight_is_not_lost_because_most_of_what_it_paired_is_out_of_view(seed: int) -> None:
+    """It sees 2.5 m and moves by 1 m from scan to scan."""
+    rng, slam, doubts = np.random.default_rng(seed), Slam(LOG_SETTINGS, relocate=relocate_by(SEARCH)), 0
+    landmarks = np.indices((66, 7)).reshape(2, -1).T - 3.0 + rng.uniform(-0.4, 0.4, (462, 2))
+    for metre in range(60):
+        seen = landmarks - [metre, 0.0]
+        seen = seen[(np.hypot(*seen.T) < 2.5) & (rng.random(len(seen)) < 0.8)]
+        sigmas = np.array([0.05, 0.01, 0.035])
+        odometry = Odometry.from_motion([1.0, 0.0, 0.0] + sigmas * rng.standard_normal(3), sigmas)
+        slam.step(odometry, scan_of(seen + 0.05 * rng.standard_normal(seen.shape), 0.05), "marginal")
+        doubts += slam.doubted
+    assert doubts <= 1 and len(slam.map) > 200
 
 
 def test_the_pose_found_is_what_the_pairings_tell() -> None:

@@ -42,7 +42,7 @@ def test_two_equal_rooms_are_ambiguous(name):
     assert found.pairings >= 7 and found.ambiguous and found.ties >= 1 and not found.accepted
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "indexed"])
 @pytest.mark.parametrize("m", [0, 1, 2, 6])
 @pytest.mark.parametrize("n", [0, 1, 3])
 def test_few_measurements_and_few_features_have_a_defined_answer(name, m, n):
