@@ -99,7 +99,7 @@ def doors(rng: np.random.Generator) -> Site:
 
 
 @dataclass(frozen=True)
-class Kind:
+class LogKind:
     """A kind of log: the site, the sensor and the odometry."""
 
     site: Callable[[np.random.Generator], Site] = posts
@@ -115,17 +115,17 @@ class Kind:
 
 
 KINDS = {
-    "posts": Kind(), "clutter": Kind(clutter=5.0), "detection 0.6": Kind(detection=0.6),
-    "slip of 10 σ": Kind(slip=10.0), "slip of 30 σ": Kind(slip=30.0), "σ / 1.5": Kind(claimed=1.0 / 1.5),
-    "σ × 3": Kind(claimed=3.0), "every 10th scan": Kind(every=10),
-    "streets": Kind(streets, (8.0, math.pi), (0.1, 0.0125), (0.02, 0.02, 0.01), 0.0, 0.0, 1.0, every=5),
-    "dense": Kind(dense, (2.5, math.pi), (0.05, 0.02), (0.05, 0.01, 0.035), 0.0, 0.0, 0.8),
-    "car": Kind(car, (30.0, 0.5 * math.pi), (0.1, 0.0175), (0.021, 0.002, 0.0028), 0.0, 0.0, 1.0),
-    "doors": Kind(doors, (6.0, math.radians(120.0)), (0.05, 0.01), (0.0134, 0.0067, 0.009), 0.05),
+    "posts": LogKind(), "clutter": LogKind(clutter=5.0), "detection 0.6": LogKind(detection=0.6),
+    "slip of 10 σ": LogKind(slip=10.0), "slip of 30 σ": LogKind(slip=30.0), "σ / 1.5": LogKind(claimed=1.0 / 1.5),
+    "σ × 3": LogKind(claimed=3.0), "every 10th scan": LogKind(every=10),
+    "streets": LogKind(streets, (8.0, math.pi), (0.1, 0.0125), (0.02, 0.02, 0.01), 0.0, 0.0, 1.0, every=5),
+    "dense": LogKind(dense, (2.5, math.pi), (0.05, 0.02), (0.05, 0.01, 0.035), 0.0, 0.0, 0.8),
+    "car": LogKind(car, (30.0, 0.5 * math.pi), (0.1, 0.0175), (0.021, 0.002, 0.0028), 0.0, 0.0, 1.0),
+    "doors": LogKind(doors, (6.0, math.radians(120.0)), (0.05, 0.01), (0.0134, 0.0067, 0.009), 0.05),
 }  # fmt: skip
 
 
-def simulated(kind: Kind, seed: int) -> Recording:
+def simulated(kind: LogKind, seed: int) -> Recording:
     """The log of a drive, with its landmarks and true poses."""
     rng = np.random.default_rng(seed)
     landmarks, poses = kind.site(rng)

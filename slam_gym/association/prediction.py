@@ -292,11 +292,6 @@ class StartRule(Enum):
     FITS_NOTHING = "unpaired, and compatible with nothing that was expected"
     ASSOCIATOR = "the associator says that they are new"
 
-    @classmethod
-    def of(cls, hypothesis: Hypothesis) -> StartRule:
-        """The rule for a hypothesis that is learned from unchanged."""
-        return cls.FITS_NOTHING if hypothesis.new is None else cls.ASSOCIATOR
-
 
 @dataclass(frozen=True, slots=True)
 class SlamStep:
@@ -309,11 +304,15 @@ class SlamStep:
     prediction: Prediction  # before the scan
     hypothesis: Hypothesis
     ids: IntArray  # (m,) id of the map feature that each measurement updated or started; NO_ID = discarded
-    created: BoolArray  # (m,) the measurement started a feature …
+    created: BoolArray  # (m,) the measurement started a feature, by `rule`
     removed: IntArray  # ids of the features that were removed from the map during the step
-    rule: StartRule = StartRule.FITS_NOTHING  # … and why
     returned: IntArray = field(default_factory=lambda: NO_SIGHTINGS)
     # ids of features that were removed when another map was started, and are back since the two maps were joined
+
+    @property
+    def rule(self) -> StartRule:
+        """The rule by which measurements started features."""
+        return StartRule.FITS_NOTHING if self.hypothesis.new is None else StartRule.ASSOCIATOR
 
 
 def predict(

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
+from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.geometry import compose_jacobians, inverse
 from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, graph_of
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
@@ -193,7 +193,7 @@ class Slam:
         self._missed_loops.learn(self._learned, prediction, hypothesis)
         removed = self._forget(due) if due else _NO_FEATURES
         m.end_of_step()
-        return SlamStep(prediction, hypothesis, ids, created, removed, StartRule.of(hypothesis))
+        return SlamStep(prediction, hypothesis, ids, created, removed)
 
     def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
         """The step of a doubted scan: the map learns from it only if the robot is lost and the scan finds it again.
