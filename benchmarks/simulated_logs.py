@@ -9,7 +9,7 @@ doors     corridors around a block of 60 m × 22 m with doors on both sides, pas
 Settings for real data were developed on such logs with other random numbers. Features mapped twice, precision, recall
 and the error of the aligned path for every kind of log, means over the seeds.
 
-    python benchmarks/simulated_logs.py       # four minutes
+    python benchmarks/simulated_logs.py       # six minutes
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def streets(rng: np.random.Generator) -> Site:
 
 
 def dense(rng: np.random.Generator) -> Site:
-    path, (x, y) = walked(rng, 5, 8, 400), np.mgrid[-3:44, -3:44]
+    path, (x, y) = walked(rng, 5, 8, 1000), np.mgrid[-3:44, -3:44]
     return np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.4, 0.4, (x.size, 2)), path
 
 

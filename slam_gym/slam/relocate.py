@@ -27,7 +27,9 @@ _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
 _SLIP_CONFIDENCE = 0.9999  # of the joint test of pairings without slip
-_HARDLY_ACCIDENTAL = math.log(0.005)  # log of an expected number of accidental hypotheses with as many pairings
+_HARDLY_ACCIDENTAL = math.log(0.02)  # log of an expected number of accidental hypotheses with as many pairings …
+_ACCIDENTAL_ALL = math.log(0.5)  # … and from which all pairings of a scan may be accidental
+_ACCIDENTAL_SCANS = 8  # scans in a row whose pairings may be accidental: 5 occur on real logs that are mapped well
 _BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 SEARCH = "gcbb"
@@ -58,6 +60,10 @@ class Tracker:
     (`acceptance.log_expected_pairings`): with a sensor of short range, most of what a scan pairs is out of view in the
     next. A doubt lasts until a scan pairs enough; a scan without measurements neither ends it nor adds another.
 
+    So a robot that is lost among many features may pair some of them by chance in every scan, and never be doubted. If
+    chance may explain all pairings of eight scans in a row that measure, and should show, six features or more, the
+    robot is lost.
+
     So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
     features that walls are known to hide.
 
@@ -74,6 +80,7 @@ class Tracker:
         self.slips = 0  # how often the wheels have slipped
         self._last_paired: IntArray = np.empty(0, np.int64)
         # (m,) features paired by the last scan that was believed, or UNPAIRED
+        self._accidental = 0  # scans in a row whose pairings may all be accidental
         self._least_cosine = 1.0  # of the bearings of all measurements so far …
         self._farthest = 0.0  # [m] … and the greatest of their distances
 
@@ -92,8 +99,10 @@ class Tracker:
         if not prediction.has_view:
             self.look(scan.points)
         if self._is_believable(scan, prediction, hypothesis):
-            self.accept(hypothesis)
-            return True
+            if not self._pairs_by_chance(scan, prediction, hypothesis):
+                self.accept(hypothesis)
+                return True
+            self.doubted, self._accidental = self.scans - 1, 0
         self.doubted += 1
         return False
 
@@ -128,7 +137,7 @@ class Tracker:
 
     def forget(self) -> None:
         """Reset the counts for another map."""
-        self.doubted, self._last_paired = 0, self._last_paired[:0]
+        self.doubted, self._accidental, self._last_paired = 0, 0, self._last_paired[:0]
 
     def renumber(self, became: IntArray) -> None:
         """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
@@ -149,6 +158,19 @@ class Tracker:
         if self.lost or prediction.has_view:
             return False
         return log_expected_pairings(scan, prediction, hypothesis.features) < _HARDLY_ACCIDENTAL
+
+    def _pairs_by_chance(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Whether chance may explain all pairings of this scan and of the last ones, by the rule of this class."""
+        in_sector = int((self._in_sector(prediction.positions) & ~prediction.provisional).sum())
+        if prediction.has_view or min(len(scan), in_sector) < 2 * self.min_expected:
+            return False
+        pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
+        by_chance = (
+            pairings < _BELIEVED * len(scan)
+            and log_expected_pairings(scan, prediction, hypothesis.features) > _ACCIDENTAL_ALL
+        )
+        self._accidental = self._accidental + 1 if by_chance else 0
+        return self._accidental >= _ACCIDENTAL_SCANS
 
     def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         established = ~prediction.provisional

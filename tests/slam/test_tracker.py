@@ -136,6 +136,14 @@ def test_pairings_that_are_hardly_accidental_are_believed_whatever_is_missing() 
         assert not doubts(tracker, spread, paired(FEATURES)) and doubts(tracker, spread, paired(2)) is (scale == 1.0)
 
 
+@pytest.mark.parametrize(("scale", "lost"), [(1.0, True), (20.0, False)])  # scattered features pair nothing by chance
+def test_a_robot_that_pairs_by_chance_in_eight_scans_in_a_row_is_lost(scale: float, lost: bool) -> None:
+    tracker = looking_ahead()
+    tracker.look(scale * AHEAD)
+    assert not any(doubts(tracker, facing(scale * AHEAD), paired(2)) for _ in range(7))
+    assert doubts(tracker, facing(scale * AHEAD), paired(2)) is lost and tracker.lost is lost
+
+
 def test_slip_is_suspected_without_a_view_where_pairings_are_few_or_fit_badly_and_needs_half_of_the_scan() -> None:
     tracker, ahead, scan = looking_ahead(), facing(AHEAD), Scan.from_points(AHEAD, sigma=0.1)
     assert not doubts(tracker, ahead, paired(FEATURES))

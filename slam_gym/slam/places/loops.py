@@ -36,7 +36,7 @@ from slam_gym.types import Array, BoolArray, IntArray
 
 NO_PAIRS = np.empty((0, 2), np.int64)
 _SEEDS = 800  # most pairs from which sets grow; one recent feature may have more
-_MOST_PAIRS = 5_000  # with more possible pairs, the prior is too weak, and nothing is searched for
+_MOST_PAIRS = 20_000  # with more possible pairs, the prior is too weak, and nothing is searched for
 
 
 def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
