@@ -161,14 +161,14 @@ class Tracker:
 
     def _pairs_by_chance(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether chance may explain all pairings of this scan and of the last ones, by the rule of this class."""
-        in_sector = int((self._in_sector(prediction.positions) & ~prediction.provisional).sum())
-        if prediction.has_view or min(len(scan), in_sector) < 2 * self.min_expected:
+        if prediction.has_view or len(scan) < 2 * self.min_expected:
+            return False
+        in_sector = ~prediction.provisional & self._in_sector(prediction.positions)
+        if np.count_nonzero(in_sector) < 2 * self.min_expected:
             return False
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
-        by_chance = (
-            pairings < _BELIEVED * len(scan)
-            and log_expected_pairings(scan, prediction, hypothesis.features) > _ACCIDENTAL_ALL
-        )
+        few = pairings < _BELIEVED * len(scan)
+        by_chance = few and log_expected_pairings(scan, prediction, hypothesis.features) > _ACCIDENTAL_ALL
         self._accidental = self._accidental + 1 if by_chance else 0
         return self._accidental >= _ACCIDENTAL_SCANS
 
