@@ -98,13 +98,14 @@ class Tracker:
             return False
         if not prediction.has_view:
             self.look(scan.points)
-        if self._is_believable(scan, prediction, hypothesis):
-            if not self._pairs_by_chance(scan, prediction, hypothesis):
-                self.accept(hypothesis)
-                return True
-            self.doubted, self._accidental = self.scans - 1, 0
-        self.doubted += 1
-        return False
+        if not self._is_believable(scan, prediction, hypothesis):
+            self.doubted += 1
+            return False
+        if self._pairs_by_chance(scan, prediction, hypothesis):
+            self.doubted, self._accidental = self.scans, 0  # lost
+            return False
+        self.accept(hypothesis)
+        return True
 
     def suspects_slip(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether the wheels may have slipped since the last scan: this one is not believed, or its pairings fit worse

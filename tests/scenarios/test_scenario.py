@@ -1,6 +1,7 @@
 """What a scenario may be, and the seeds of its worlds."""
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,16 @@ import pytest
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import SPLITS, KidnappingSpec, get_scenario, world_seed
 from slam_gym.world.floor_plan import FloorPlan
+
+
+def assert_frozen(record: Any) -> None:
+    """Nothing of a record of records can be changed, and all of it can be hashed."""
+    for field in fields(record):
+        with pytest.raises(FrozenInstanceError):
+            setattr(record, field.name, None)
+        if is_dataclass(getattr(record, field.name)):
+            assert_frozen(getattr(record, field.name))
+    hash(record)
 
 
 def test_train_and_test_seeds_never_overlap() -> None:

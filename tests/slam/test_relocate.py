@@ -33,11 +33,9 @@ def test_the_search_is_asked_once_too_many_scans_were_doubted_and_only_then() ->
     for _ in range(5):
         slam.step(STILL, here)
     assert not calls and not slam.lost
-    paired = []
-    for turn in range(3):
-        # a different place each time, so that what the last scan started is no help
-        step = slam.step(STILL, scan_of(np.array([[4, 4], [5, 3]]) + 3.0 * turn))
-        paired.append(step.hypothesis.features.tolist())
+    # a different place each time, so that what the last scan started is no help
+    places = [np.array([[4, 4], [5, 3]]) + 3.0 * turn for turn in range(3)]
+    paired = [slam.step(STILL, scan_of(place)).hypothesis.features.tolist() for place in places]
     assert calls == [7] and slam.relocations == 1 and not slam.lost
     assert paired == [[UNPAIRED, UNPAIRED], [UNPAIRED, UNPAIRED], [1, 0]]
 
