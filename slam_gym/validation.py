@@ -93,6 +93,12 @@ def check_number(name: str, value: Any, greatest: float = sys.float_info.max) ->
         raise ValueError(f"{name}={value!r}: expected a finite number from 0{f' to {greatest:g}' * (greatest < 1e9)}")
 
 
+def check_count(name: str, value: Any) -> None:
+    """Raise ValueError, naming it, unless an argument is a whole number from 1 on."""
+    if (type(value) is not int and not isinstance(value, int | np.integer)) or value < 1:  # the usual type is fastest
+        raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
+
+
 @compiled
 def check_measurements(points: Array, covariances: Array) -> None:
     """`check_scan` for its points (m, 2) and covariances (m, 2, 2)."""

@@ -11,6 +11,7 @@ from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
 from slam_gym.association.walks import Observation, Order, Policy
 from slam_gym.types import BoolArray, Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
+from slam_gym.validation import check_count
 
 
 def from_policy(
@@ -34,8 +35,7 @@ def relocator_from_policy(policy: Policy, *, measurements: int = 20, **settings:
     `measurements` rows of a scan are shown. Raises ValueError for settings that are none; the relocator raises it for
     bad scans and maps, and for an action that is not legal.
     """
-    if measurements < 1:
-        raise ValueError(f"measurements: {measurements} is less than 1")
+    check_count("measurements", measurements)
     return functools.partial(_relocate, policy=policy, spec=WalkSpec(**settings), shown=measurements)
 
 

@@ -16,19 +16,7 @@ import numpy as np
 
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.problem import (
-    JOINT,
-    LEAVES,
-    LIMIT,
-    LOCATION_LIMIT,
-    NODES,
-    UNARY,
-    Best,
-    Problem,
-    fewest,
-    offer,
-    searched,
-)
+from slam_gym.association.relocation.problem import COUNT, LOCATION_LIMIT, Best, Problem, fewest, offer, searched
 from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 
@@ -58,7 +46,7 @@ def max_clique(
         nodes, edges = _consistent(problem, node_limit)
         cliques, complete = largest_cliques(edges, fewest(best, True))
         if not complete:
-            problem.effort[LIMIT] = 1
+            problem.effort[COUNT.limit_hit] = 1
         _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
 
     return searched(scan, landmarks, locality, confidence, min_pairings, search)
@@ -79,14 +67,11 @@ def largest_cliques(edges: IntArray, least: int = 2) -> tuple[IntArray, bool]:
 
 
 def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
-    """The pairings that pass the unary constraints, and the edges (e, 2) between those that agree.
-
-    No edges are returned where there would be too many nodes or edges.
-    """
+    """The pairings that pass the unary constraints, and the edges (e, 2) between those that agree; none if too many."""
     nodes, effort, no_edges = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
     number, edges, count = np.zeros(problem.allowed.shape, np.int64), [no_edges], 0
     number[nodes] = np.arange(len(nodes.features))
-    effort[UNARY], effort[NODES] = number.size, len(nodes.features)
+    effort[COUNT.unary_tests], effort[COUNT.nodes] = number.size, len(nodes.features)
     for a, (i, j) in enumerate(zip(*nodes) if len(nodes.features) <= node_limit else ()):
         agreeing = problem.allowed.copy()
         agreeing[: i + 1] = False
@@ -95,18 +80,18 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
         count += len(edges[-1])
         if count > _EDGES:
             break
-    effort[LIMIT] = len(nodes.features) > node_limit or count > _EDGES
-    return nodes, no_edges if effort[LIMIT] else np.concatenate(edges)
+    effort[COUNT.limit_hit] = len(nodes.features) > node_limit or count > _EDGES
+    return nodes, no_edges if effort[COUNT.limit_hit] else np.concatenate(edges)
 
 
 def _best_of(problem: Problem, hypotheses: list[Path], best: Best) -> None:
     """Enter the hypotheses in `best`; if none is jointly compatible, those that remain after dropping pairings."""
     for path in hypotheses:
-        problem.effort[LEAVES] += 1
+        problem.effort[COUNT.leaves] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
-        if problem.effort[JOINT] >= LOCATION_LIMIT:
-            problem.effort[LIMIT] = 1
+        if problem.effort[COUNT.joint_tests] >= LOCATION_LIMIT:
+            problem.effort[COUNT.limit_hit] = 1
             break
         while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
             path = _without_worst(problem, path)
@@ -114,11 +99,8 @@ def _best_of(problem: Problem, hypotheses: list[Path], best: Best) -> None:
 
 def _without_worst(problem: Problem, path: Path) -> Path:
     """The path without the pairing whose removal leaves the least D²."""
-    scan, k, distances = problem.scan, len(path.features) - 1, []
+    scan, k, pose, covariance = problem.scan, len(path.features) - 1, np.empty(3), np.empty((3, 3))
     rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
-    for rest in rests:
-        problem.effort[JOINT] += 1
-        distances.append(
-            locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, np.empty(3), np.empty((3, 3)))
-        )
+    problem.effort[COUNT.joint_tests] += len(rests)
+    distances = [locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance) for rest in rests]
     return rests[int(np.nan_to_num(distances, nan=math.inf).argmin())]

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.arrays import Mapped, scan_arrays, unchecked_map
-from slam_gym.association.relocation.constraints import Path, cross_covariance
+from slam_gym.association.relocation.constraints import Mapped, Path, cross_covariance, scan_arrays, unchecked_map
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import cholesky, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan

@@ -121,7 +121,7 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
 
 def _path(walk: RelocationWalk) -> Float32Array:
     m, node = max(len(walk.scan), 1), walk.node
-    counts = np.array([walk.level, node.pairings, node.bound, node.bound_without(walk.measurement)])
+    counts = np.array([walk.level, node.pairings, node.bound_without(None), node.bound_without(walk.measurement)])
     return np.array([*(counts / m), walk.at_leaf, bool(walk.compatible)], np.float32)
 
 

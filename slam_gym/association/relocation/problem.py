@@ -6,27 +6,47 @@ import functools
 import math
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import Measured, Path, measured, unary_table
+from slam_gym.association.relocation.constraints import (
+    Mapped,
+    Measured,
+    Path,
+    locality_arrays,
+    map_arrays,
+    measured,
+    scan_arrays,
+    unary_table,
+)
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.geometry import wrap_angles
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
-
-_COUNTED = ("nodes", "unary_tests", "binary_tests", "orientation_tests", "leaves", "joint_tests", "tries")
-NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
-"""Indices of the counts in `Problem.effort`, named as in `Effort`; the last is 1 where a limit ended the search."""
 
 LOCATION_LIMIT = 5_000  # hypotheses that a search locates, which takes a quarter of a second
 TEST_LIMIT = 40_000_000  # tests of constraints in a search, which take some half a second
 _ORIENTATION_COST = 40  # tests that one of the orientation counts for: most candidates fail before it
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
+
+
+class Counts(NamedTuple):
+    """Index of each count in `Problem.effort`, named as in `Effort`."""
+
+    nodes: int = 0
+    unary_tests: int = 1
+    binary_tests: int = 2
+    orientation_tests: int = 3
+    leaves: int = 4
+    joint_tests: int = 5
+    tries: int = 6
+    limit_hit: int = 7  # 1 where a limit ended the search
+
+
+COUNT = Counts()
 
 
 class Problem(NamedTuple):
@@ -35,10 +55,10 @@ class Problem(NamedTuple):
     scan: Measured
     mapped: Mapped
     joint_gates: Array  # (m + 2,) `location_gates`
-    allowed: BoolArray  # (m, n) table of the unary constraints
+    allowed: BoolArray  # (m, n) table of the unary constraints; (0, 0): they are tested when needed
     starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all are local to all
     members: IntArray
-    effort: IntArray  # (8,)
+    effort: IntArray  # (8,) see `Counts`
 
 
 class Best(NamedTuple):
@@ -58,18 +78,14 @@ def location_gates(pairings: int, confidence: float) -> Array:
     return np.array([*gates, chi2_gate(3, confidence)])
 
 
-def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
-    """The input of a search without a prior. Raises ValueError for bad numbers in scan, map or locality."""
-    arrays, mapped = scan_arrays(scan), map_arrays(landmarks)
-    seen = measured(arrays, confidence)
-    return Problem(
-        seen,
-        mapped,
-        location_gates(len(scan), confidence),
-        unary_table(arrays[2:], mapped[2:5], seen.gates.one),
-        *locality_arrays(locality, len(landmarks)),
-        np.zeros(8, np.int64),
-    )
+def problem_of(
+    scan: Scan, mapped: Mapped, locality: Locality | None, confidence: float, *, tabulate: bool = True
+) -> Problem:
+    """The input of a search without a prior. Raises ValueError for bad numbers in scan or locality."""
+    arrays = scan_arrays(scan)
+    seen, members = measured(arrays, confidence), locality_arrays(locality, len(mapped.positions))
+    table = unary_table(arrays[2:], mapped[2:5], seen.gates.one) if tabulate else np.empty((0, 0), np.bool_)
+    return Problem(seen, mapped, location_gates(len(scan), confidence), table, *members, np.zeros(len(COUNT), np.int64))
 
 
 def searched(
@@ -83,11 +99,12 @@ def searched(
     """The answer of a `search` that enters its hypotheses in a `Best`.
 
     No hypothesis with fewer than `min_pairings` is looked for; None: any, and the rule of `acceptance` judges the
-    answer. Raises ValueError as `problem_of`, and for `min_pairings` below 2, which leave the pose undetermined.
+    answer. Raises ValueError as `map_arrays` and `problem_of`, and for `min_pairings` below 2, which leave the pose
+    undetermined.
     """
     if min_pairings is not None and min_pairings < 2:
         raise ValueError(f"min_pairings: {min_pairings} is less than 2")
-    began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    began, problem = time.perf_counter(), problem_of(scan, map_arrays(landmarks), locality, confidence)
     best = nothing_found(len(scan), min_pairings)
     search(problem, best)
     if min_pairings is None:
@@ -109,10 +126,10 @@ def nothing_found(measurements: int, least: int | None = None) -> Best:
 @inlined
 def must_end(effort: IntArray, node_limit: int) -> bool:
     """Whether a limit of a search through the interpretation tree is reached; then enters that in `effort`."""
-    tests = effort[UNARY] + effort[BINARY] + _ORIENTATION_COST * effort[ORIENTATION]
-    if effort[NODES] >= node_limit or effort[JOINT] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
-        effort[LIMIT] = 1
-    return bool(effort[LIMIT] == 1)
+    tests = effort[COUNT.unary_tests] + effort[COUNT.binary_tests] + _ORIENTATION_COST * effort[COUNT.orientation_tests]
+    if effort[COUNT.nodes] >= node_limit or effort[COUNT.joint_tests] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
+        effort[COUNT.limit_hit] = 1
+    return bool(effort[COUNT.limit_hit] == 1)
 
 
 @inlined
@@ -130,7 +147,7 @@ def joint_distance(problem: Problem, path: Path, k: int, pose: Array, covariance
     """
     if k < 2:
         return math.inf
-    problem.effort[JOINT] += 1
+    problem.effort[COUNT.joint_tests] += 1
     distance = locate_pairings(problem.scan.points, problem.scan.noise, problem.mapped, path, k, pose, covariance)
     return distance if distance < problem.joint_gates[k] else math.inf
 
@@ -184,7 +201,7 @@ def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -
         differences[:, 2] = wrap_angles(differences[:, 2])
         squares = np.einsum("ra,ra->r", differences, np.linalg.solve(sums, differences[:, :, None])[:, :, 0])
         ties = int((squares >= problem.joint_gates[-1]).sum())
-    *counts, limit = problem.effort.tolist()
-    spent = Effort(**dict(zip(_COUNTED, counts, strict=True)), limit_hit=limit > 0, seconds=seconds)
+    counts: dict[str, Any] = dict(zip(Counts._fields, problem.effort.tolist(), strict=True))
+    spent = Effort(**counts | {"limit_hit": counts["limit_hit"] > 0, "seconds": seconds})
     dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
     return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)

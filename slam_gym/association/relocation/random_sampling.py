@@ -10,10 +10,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import place_of
 from slam_gym.association.relocation.problem import (
-    LEAVES,
-    LIMIT,
-    NODES,
-    TRIES,
+    COUNT,
     Best,
     Problem,
     fewest,
@@ -24,6 +21,7 @@ from slam_gym.association.relocation.problem import (
 )
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.validation import check_count
 
 _SAMPLE = 3  # number of measurements in a sample
 _STAR = -1  # in place of a candidate: `*` was tried, no candidates are left
@@ -54,8 +52,8 @@ def random_sampling(
     generator to draw them from. `node_limit` bounds the nodes of all trees together. `min_pairings`, the limits and the
     errors are those of `gcbb`; fewer tries than one are an error, too.
     """
-    if tries < 1 or node_limit < 1:
-        raise ValueError(f"tries {tries}, node_limit {node_limit}: expected at least 1")
+    check_count("tries", tries)
+    check_count("node_limit", node_limit)
     rng, m = np.random.default_rng(seed), len(scan)
     drawn = tries if m >= _SAMPLE else 0
     samples = np.array([rng.permutation(m)[:_SAMPLE] for _ in range(drawn)], np.int64).reshape(drawn, _SAMPLE)
@@ -73,11 +71,11 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
     tried = np.zeros(size + 1, np.int64)
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     for sample in samples:
-        effort[TRIES] += effort[LIMIT] == 0
+        effort[COUNT.tries] += effort[COUNT.limit_hit] == 0
         p = tried[0] = 0
-        while p >= 0 and effort[LIMIT] == 0:
+        while p >= 0 and effort[COUNT.limit_hit] == 0:
             if p == size:
-                effort[LEAVES] += 1
+                effort[COUNT.leaves] += 1
                 _extend(best, problem, path, p, node_limit)
                 p -= 1
                 continue
@@ -87,7 +85,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
                 continue
             if must_end(effort, node_limit):
                 break
-            effort[NODES] += 1
+            effort[COUNT.nodes] += 1
             path.measurements[p], path.features[p] = sample[p], feature
             p += 1
             tried[p] = 0
@@ -95,16 +93,13 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
 
 @compiled
 def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -> None:
-    """JCBB over the other measurements, from the pose of p pairings; every prefix is located again and jointly
-    compatible.
-
-    For each level: above is the number of pairings above it, tried the number of candidates tried.
-    """
+    """JCBB over the other measurements, from the pose of p pairings; every prefix is located and tested again."""
     effort, pose, covariance = problem.effort, np.empty(3), np.empty((3, 3))
     if joint_distance(problem, path, p, pose, covariance) == math.inf:
         return
     levels, candidates = _compatible(problem, path, p, pose, covariance)
     level, depth = 0, len(levels)
+    # by level: the pairings above it, and the candidates tried
     above, tried = np.full(depth + 1, p), np.zeros(depth + 1, np.int64)
     while level >= 0:
         q = above[level]
@@ -125,7 +120,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             tried[level] = _STAR
         if must_end(effort, node_limit):
             return
-        effort[NODES] += 1
+        effort[COUNT.nodes] += 1
         level += 1
         above[level], tried[level] = q + paired, 0
 
@@ -134,13 +129,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
 def _compatible(
     problem: Problem, path: Path, p: int, pose: Array, covariance: Array
 ) -> tuple[list[int], list[IntArray]]:
-    """Measurements other than the first p of a path that have candidates, and their compatible features, by ascending
-    D²_ij.
-
-    Compatibility is tested at the pose of these p pairings. Features are local to the first one paired. The gate
-    assumes that pose and features are independent. Where a common drift correlates them it is too wide, and the joint
-    test decides.
-    """
+    """The other measurements that have candidates at the pose of p pairings, and these, by ascending D²_ij."""
     scan, F, P, first = problem.scan, problem.mapped.positions, problem.mapped.covariances, path.features[0]
     local = np.arange(len(F))
     if len(problem.starts) > 0:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.arrays import Mapped
 from slam_gym.association.relocation.constraints import (
+    Mapped,
     Measured,
     Path,
     binary_test,
@@ -25,7 +25,7 @@ from slam_gym.association.relocation.constraints import (
     far_apart,
     orientation_test,
 )
-from slam_gym.association.relocation.problem import BINARY, ORIENTATION, UNARY, Problem
+from slam_gym.association.relocation.problem import COUNT, Problem
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 
@@ -42,13 +42,8 @@ class RelocationNode:
         """Number of pairings on the path."""
         return len(self.path.features)
 
-    @property
-    def bound(self) -> int:
-        """Upper bound of the pairings of any hypothesis below this node."""
-        return self.bound_without(None)
-
     def bound_without(self, measurement: int | None) -> int:
-        """The bound if `measurement` is left unpaired."""
+        """Upper bound of the pairings of any hypothesis below this node that leaves `measurement` unpaired."""
         alive = self.alive
         if measurement is not None:
             alive = alive.copy()
@@ -69,7 +64,7 @@ class RelocationBranches:
 
     features: IntArray  # (b,)
     support: IntArray  # (b,) number of undecided other measurements that keep a legal feature after this pairing
-    mean: Array  # (b,) mean D² of the distances to the pairings of the path; 0 without pairings
+    mean: Array  # (b,) mean (g_scan − g_map)² / (σ²_scan + σ²_map) of the distances to pairings of the path; 0 if none
     worst: Array  # (b,) their maximum
     local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
 
@@ -111,11 +106,11 @@ def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int
     for a in range(since, p):
         if features[a] == j:
             return False
-        effort[BINARY] += 1
+        effort[COUNT.binary_tests] += 1
         if not binary_test(scan, mapped, measurements[a], features[a], i, j):
             return False
     for a in range(max(since, 1), p):
-        effort[ORIENTATION] += 1
+        effort[COUNT.orientation_tests] += 1
         if not orientation_test(scan, mapped, (measurements[0], measurements[a], i), (features[0], features[a], j)):
             return False
     return True
@@ -139,13 +134,13 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
         distance, spread = scan.distances[i, path.measurements[0]], scan.spreads[i, path.measurements[0]]
     for at in range(begin + tried, end):
         j = members[at] if restricted else at
-        effort[UNARY] += 1
+        effort[COUNT.unary_tests] += 1
         if not allowed[i, j]:
             continue
         if p > 0:  # the first test of `follows`, with values read once: it settles most pairings
             error = distance - math.sqrt((F[j, 0] - x) ** 2 + (F[j, 1] - y) ** 2)
             if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
-                effort[BINARY] += first != j
+                effort[COUNT.binary_tests] += first != j
                 continue
         if follows(scan, mapped, effort, path, p, i, j, 0):
             return j, at + 1 - begin
@@ -155,9 +150,9 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
 @compiled
 def _local_to(problem: Problem, feature: int) -> BoolArray:
     """(n,) mask of L(feature)."""
-    local = np.full(len(problem.mapped.positions), len(problem.starts) == 0)
-    if len(problem.starts) > 0:
-        for at in range(problem.starts[feature], problem.starts[feature + 1]):
+    starts, local = problem.starts, np.full(len(problem.mapped.positions), len(problem.starts) == 0)
+    if len(starts) > 0:
+        for at in range(starts[feature], starts[feature + 1]):
             local[problem.members[at]] = True
     return local
 
@@ -175,10 +170,7 @@ def keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
 
 @compiled
 def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> tuple[IntArray, Array]:
-    """Properties of pairing measurement i with each of `candidates` (b,): support (b,); mean, worst and local (b, 3).
-
-    D² of a distance is (g_scan − g_map)² / (σ²_scan + σ²_map).
-    """
+    """Support (b,), and mean, worst and local (b, 3), of pairing measurement i with each of `candidates` (b,)."""
     scan, mapped, effort, positions = problem.scan, problem.mapped, problem.effort, problem.mapped.positions
     p = len(path.features)
     longer = Path(np.empty(p + 1, np.int64), np.empty(p + 1, np.int64))

@@ -6,8 +6,8 @@ include three of one group. So once all triples within the groups have been look
 compact, since small triangles have few similar ones: their number is n times a factor proportional to the radius of
 their circumcircle.
 
-Each triangle of the map that is similar to a triple implies a pose. Each pose is tested against the whole scan: first
-by the distance from each measurement's position to the nearest feature, then by pairing, location and joint test.
+Each pose that a triangle implies is tested against the whole scan: first by the distance from each measurement to the
+nearest feature, then by pairing, location and joint test.
 """
 
 from __future__ import annotations
@@ -21,18 +21,7 @@ from numpy.typing import NDArray
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.relocation.constraints import Measured, Path
 from slam_gym.association.relocation.location import locate_pairings, place_of
-from slam_gym.association.relocation.problem import (
-    BINARY,
-    JOINT,
-    LEAVES,
-    LIMIT,
-    NODES,
-    TRIES,
-    Best,
-    Problem,
-    fewest,
-    keep,
-)
+from slam_gym.association.relocation.problem import COUNT, Best, Problem, fewest, keep
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 FAR = 255  # in the raster of distances: beyond its range
@@ -41,8 +30,6 @@ _ROUNDS = 6  # of locating and pairing again; two are usually enough
 _LOCATING = 30  # nodes that a location counts as: it takes as long as testing this many poses against the raster
 
 Integers32 = NDArray[np.int32]
-Floats32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 
 class Grid(NamedTuple):
@@ -57,7 +44,7 @@ class Grid(NamedTuple):
 class Raster(NamedTuple):
     """Distances to the nearest feature, reduced by what its own covariance explains."""
 
-    steps: Bytes  # (rows, columns) √(d² − γλ) / step, rounded down, with d from the nearest point of the cell; or FAR
+    steps: NDArray[np.uint8]  # (rows, columns) √(d² − γλ) / step, down; d from the nearest point of the cell; or FAR
     origin: tuple[float, float, float]  # [m] left and lower edge, side of a cell
     step: float  # [m]
 
@@ -67,20 +54,12 @@ class TriangleHash(NamedTuple):
 
     starts: IntArray  # (cells + 1,) the triangles of cell c are starts[c] … starts[c + 1] − 1
     corners: Integers32  # (t, 3) A, B, C counterclockwise, AB the longest side
-    sides: Floats32  # (t, 4) [m] AB, BC, CA, and the largest variance [m²] of the three
+    sides: NDArray[np.float32]  # (t, 4) [m] AB, BC, CA, and the largest variance [m²] of the three
     grid: Grid
     raster: Raster
     reach: float  # [m] longest side of the triangles
     quantum: float  # [m] width of a hash cell in each side
     widest: float  # [m²] largest variance of a feature in any direction
-
-
-class Query(NamedTuple):
-    """A query of the hash."""
-
-    problem: Problem  # without the table of unary constraints, whose computation is linear in the map
-    needed: int  # number of pairings
-    node_limit: int
 
 
 class _Seed(NamedTuple):
@@ -97,29 +76,38 @@ class _Seed(NamedTuple):
     margin: float  # [m] gate of a side, for any features
 
 
+class _Placed(NamedTuple):
+    """A pose, and the pairings made at it; all of them are overwritten as they improve."""
+
+    pose: Array  # (3,) [m, m, rad] in B
+    covariance: Array  # (3, 3)
+    features: IntArray  # (m,) or UNPAIRED
+    squares: Array  # (m,) D² of the pairings
+
+
 @compiled
-def search(table: TriangleHash, query: Query, best: Best) -> None:
-    """Enter in `best` all hypotheses with the most pairings, at least one less than needed.
+def search(table: TriangleHash, problem: Problem, needed: int, node_limit: int, best: Best) -> None:
+    """Enter in `best` all hypotheses with the most pairings, at least one less than `needed`.
 
     The search ends with one pairing more than needed, once triples of the paired measurements have shown no other
     similar place. With exactly as many as needed, only hypotheses that the gates reject can be missing.
     """
-    scan = query.problem.scan
-    best.state[0] = max(query.needed - 1, 3) - 1
-    if len(scan.points) < max(query.needed, 3):
+    scan = problem.scan
+    best.state[0] = max(needed - 1, 3) - 1
+    if len(scan.points) < max(needed, 3):
         return
-    for triple in _triples(scan, np.arange(len(scan.points)), max((query.needed - 1) // 2, 1), table.reach):
-        _try_triple(table, query, best, triple)
-        if query.problem.effort[LIMIT] > 0 or best.state[0] > query.needed:
+    for triple in _triples(scan, np.arange(len(scan.points)), max((needed - 1) // 2, 1), table.reach):
+        _try_triple(table, problem, node_limit, best, triple)
+        if problem.effort[COUNT.limit_hit] > 0 or best.state[0] > needed:
             break
-    pairings = query.needed
+    pairings = needed
     while pairings < best.state[0]:
         pairings, fresh = best.state[0], np.ones(len(scan.points), np.bool_)
         paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
         for triple in _triples(scan, paired, pairings // 3, table.reach):
-            if fresh[triple].all() and query.problem.effort[LIMIT] == 0:
+            if fresh[triple].all() and problem.effort[COUNT.limit_hit] == 0:
                 fresh[triple] = False
-                _try_triple(table, query, best, triple)
+                _try_triple(table, problem, node_limit, best, triple)
 
 
 @compiled
@@ -161,10 +149,7 @@ def _near_groups(scan: Measured, members: IntArray, groups: int, reach: float) -
 
 @compiled
 def _groups(points: Array, members: IntArray, groups: int) -> IntArray:
-    """Group (m,) of each member among the points: compact groups of nearly equal size.
-
-    Points are split recursively across their longer extent, in proportion to the numbers of groups on either side.
-    """
+    """Group (m,) of each member: compact and nearly equal, by recursive splits across the longer extent."""
     group, uncut = np.empty(len(points), np.int64), [(members, 0, groups)]
     while len(uncut) > 0:
         part, first, count = uncut.pop()
@@ -179,9 +164,9 @@ def _groups(points: Array, members: IntArray, groups: int) -> IntArray:
 
 
 @compiled
-def _seed(table: TriangleHash, query: Query, triple: IntArray) -> _Seed:
+def _seed(table: TriangleHash, scan: Measured, triple: IntArray) -> _Seed:
     """The seed of a triple of measurements."""
-    scan, points, noise, inertia = query.problem.scan, query.problem.scan.points, 0.0, 1e-12
+    points, noise, inertia = scan.points, 0.0, 1e-12
     x, y = points[triple, 0].mean(), points[triple, 1].mean()
     for i in triple:
         inertia += (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2
@@ -201,30 +186,27 @@ def _seed(table: TriangleHash, query: Query, triple: IntArray) -> _Seed:
 
 
 @compiled
-def _try_triple(table: TriangleHash, query: Query, best: Best, triple: IntArray) -> None:
-    """Verify the poses implied by triangles similar to a triple of measurements, in all rotations of its corners.
-
-    A nearly straight triple may have either orientation.
-    """
-    query.problem.effort[TRIES] += 1
-    distances, points, (i, k, l) = query.problem.scan.distances, query.problem.scan.points, triple
+def _try_triple(table: TriangleHash, problem: Problem, node_limit: int, best: Best, triple: IntArray) -> None:
+    """Verify the poses implied by triangles similar to a triple of measurements, in all rotations of its corners."""
+    problem.effort[COUNT.tries] += 1
+    distances, points, (i, k, l) = problem.scan.distances, problem.scan.points, triple
     longest = max(distances[i, k], distances[k, l], distances[l, i])
     if longest == 0.0:
         return
-    seed = _seed(table, query, triple)
+    seed = _seed(table, problem.scan, triple)
     a, b, c = points[i], points[k], points[l]
     height = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / longest
-    for turn in range(6 if height < 2.0 * seed.margin else 3):
+    for turn in range(6 if height < 2.0 * seed.margin else 3):  # one that is nearly straight has either orientation
         onwards = 1 if turn < 3 else 2
         corners = np.array([triple[turn % 3], triple[(turn + onwards) % 3], triple[(turn + 2 * onwards) % 3]])
         if distances[corners[0], corners[1]] + 2.0 * seed.margin >= longest:
-            _verify(table, query, best, seed, corners)
+            _verify(table, problem, node_limit, best, seed, corners)
 
 
 @compiled
-def _similar_triangles(table: TriangleHash, query: Query, corners: IntArray) -> Integers32:
+def _similar_triangles(table: TriangleHash, problem: Problem, corners: IntArray) -> Integers32:
     """Corners (t, 3) of the triangles whose sides match those between three measurements, within the gate."""
-    scan, gate = query.problem.scan, query.problem.scan.gates.one
+    scan, gate = problem.scan, problem.scan.gates.one
     sides, variances, low, high = np.empty(3), np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(3):
         i, l = corners[k], corners[(k + 1) % 3]
@@ -243,7 +225,7 @@ def _similar_triangles(table: TriangleHash, query: Query, corners: IntArray) -> 
                     longer = np.empty((2 * len(chosen) + end - start, 3), np.int32)
                     longer[:count] = chosen[:count]
                     chosen = longer
-                query.problem.effort[BINARY] += end - start
+                problem.effort[COUNT.binary_tests] += end - start
                 for t in range(start, end):
                     x, y, z = table.sides[t, 0] - first, table.sides[t, 1] - second, table.sides[t, 2] - third
                     of_map = table.sides[t, 3]
@@ -261,24 +243,23 @@ def cell_number(c: int, a: int, b: int) -> int:
 
 
 @compiled
-def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners: IntArray) -> None:
-    """Test the poses that similar triangles imply for three measurements against the whole scan, first by the
-    raster."""
-    problem, triangles = query.problem, _similar_triangles(table, query, corners)
-    problem.effort[NODES] += len(triangles)
+def _verify(table: TriangleHash, problem: Problem, node_limit: int, best: Best, seed: _Seed, corners: IntArray) -> None:
+    """Test the poses that similar triangles imply for three measurements against the scan, first by the raster."""
+    triangles = _similar_triangles(table, problem, corners)
+    problem.effort[COUNT.nodes] += len(triangles)
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
     unmatched, m = _count_unmatched(table.raster, seed, poses), len(problem.scan.points)
-    pose, P, features, squares = np.empty(3), np.empty((3, 3)), np.empty(m, np.int64), np.empty(m)
-    located, (x, y), (v, w) = (pose, P), seed.centroid, seed.variances
+    placed = _Placed(np.empty(3), np.empty((3, 3)), np.empty(m, np.int64), np.empty(m))
+    pose, P, (x, y), (v, w) = placed.pose, placed.covariance, seed.centroid, seed.variances
     for t in np.flatnonzero(unmatched <= m - fewest(best, True)):
-        if problem.effort[NODES] > query.node_limit:
+        if problem.effort[COUNT.nodes] > node_limit:
             break
         c, s = poses[2, t], poses[3, t]
         lx, ly = c * x - s * y, s * x + c * y
         pose[0], pose[1], pose[2] = poses[0, t] - lx, poses[1, t] - ly, math.atan2(s, c)  # of the robot
         P[0, 0], P[1, 1], P[2, 2], P[0, 1] = v + ly * ly * w, v + lx * lx * w, w, -lx * ly * w
         P[0, 2], P[1, 2], P[1, 0], P[2, 0], P[2, 1] = ly * w, -lx * w, P[0, 1], ly * w, -lx * w
-        k = _pair_at(table, query, located, triangles[t, 0], fewest(best, True), features, squares)
+        k = _pair_at(table, problem, placed, triangles[t, 0], fewest(best, True))
         is_new = k > 0
         for corner in range(3):
             is_new = is_new and _may_pair(problem, corners[corner], triangles[t, corner], triangles[t, 0])
@@ -286,21 +267,19 @@ def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners:
             if (best.features[r][corners] == triangles[t]).all():
                 is_new = False
         if is_new:
-            problem.effort[LEAVES] += 1
-            _examine(table, query, best, triangles[t, 0], located, k, features, squares)
-    if problem.effort[NODES] > query.node_limit:
-        problem.effort[LIMIT] = 1
+            problem.effort[COUNT.leaves] += 1
+            _examine(table, problem, best, triangles[t, 0], placed, k)
+    if problem.effort[COUNT.nodes] > node_limit:
+        problem.effort[COUNT.limit_hit] = 1
 
 
 @compiled
 def _count_unmatched(raster: Raster, seed: _Seed, poses: Array) -> IntArray:
-    """Number (t,) of the other measurements without a feature within their gates, at poses (4, t) of the seed.
-
-    All raster cells are computed before any is read, and no pose is abandoned early: loops without branches are faster.
-    """
+    """Number (t,) of the other measurements without a feature within their gates, at poses (4, t)."""
     (left, bottom, side), (rows, columns), flat = raster.origin, raster.steps.shape, raster.steps.ravel()
     x, y, cosine, sine, scale = poses[0], poses[1], poses[2], poses[3], 1.0 / side
     cells, unmatched = np.empty(len(x), np.int64), np.zeros(len(x), np.int64)
+    # all cells are computed before any is read, and no pose is abandoned early: loops without branches are faster
     for p in range(len(seed.limits)):
         u, v, limit = seed.offsets[p, 0], seed.offsets[p, 1], seed.limits[p]
         for t in range(len(x)):
@@ -327,43 +306,31 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
 
 
 @compiled
-def _examine(
-    table: TriangleHash,
-    query: Query,
-    best: Best,
-    anchor: int,
-    located: tuple[Array, Array],
-    paired: int,
-    features: IntArray,
-    squares: Array,
-) -> None:
-    """Locate and pair in turn, starting from the pairings (m,) at a pose, until the pairings no longer change.
-
-    Then drop the worst pairings until the rest is jointly compatible, and keep the result if it is at least as good as
-    the best. `located`, `features` and their D² are overwritten.
-    """
-    problem, scan, needed, (pose, covariance) = query.problem, query.problem.scan, fewest(best, True), located
+def _examine(table: TriangleHash, problem: Problem, best: Best, anchor: int, placed: _Placed, paired: int) -> None:
+    """Locate and pair in turn until nothing changes; drop the worst pairings until the rest is jointly compatible."""
+    scan, needed = problem.scan, fewest(best, True)
+    pose, covariance, features, squares = placed
     path, before = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), features.copy()
     k, distance = paired, math.inf
     for _ in range(_ROUNDS):
         k = paired
         path.measurements[:k] = np.flatnonzero(features != UNPAIRED)
         path.features[:k] = features[path.measurements[:k]]
-        problem.effort[NODES] += _LOCATING
+        problem.effort[COUNT.nodes] += _LOCATING
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
         before[:] = features
-        paired = _pair_at(table, query, located, anchor, needed, features, squares) if distance < math.inf else 0
+        paired = _pair_at(table, problem, placed, anchor, needed) if distance < math.inf else 0
         if paired == 0:
             return
         if (features == before).all():
             break
-    problem.effort[JOINT] += 1
+    problem.effort[COUNT.joint_tests] += 1
     while k >= needed and not distance < problem.joint_gates[k]:
         worst = np.argmax(squares[path.measurements[:k]])
         for a in range(worst, k - 1):
             path.measurements[a], path.features[a] = path.measurements[a + 1], path.features[a + 1]
         k -= 1
-        problem.effort[JOINT] += 1
+        problem.effort[COUNT.joint_tests] += 1
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
     if k >= needed:
         keep(best, path, k, pose, covariance, distance)
@@ -386,22 +353,10 @@ def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
 
 
 @inlined
-def _pair_at(
-    table: TriangleHash,
-    query: Query,
-    located: tuple[Array, Array],
-    anchor: int,
-    needed: int,
-    features: IntArray,
-    squares: Array,
-) -> int:
-    """Pair each measurement with the feature of least D² within its gate. Of two that claim one feature, the nearer
-    wins.
-
-    Writes `features` (m,) and their D² (m,). Returns the number of pairings, or 0 once it must be less than `needed`.
-    """
-    scan, positions, spreads = query.problem.scan, query.problem.mapped.positions, query.problem.mapped.covariances
-    grid, (pose, P), gate, misses = table.grid, located, query.problem.scan.gates.two, 0
+def _pair_at(table: TriangleHash, problem: Problem, placed: _Placed, anchor: int, needed: int) -> int:
+    """Pair each measurement with the feature of least D² within its gate. Returns how many; 0 if below `needed`."""
+    scan, positions, spreads = problem.scan, problem.mapped.positions, problem.mapped.covariances
+    grid, gate, misses, (pose, P, features, squares) = table.grid, problem.scan.gates.two, 0, placed
     (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
         x, y, xx, xy, yy = place_of(scan.points, scan.noise, i, pose, P)
@@ -419,10 +374,10 @@ def _pair_at(
                 sxx, sxy, syy = xx + spreads[j, 0, 0], xy + spreads[j, 0, 1], yy + spreads[j, 1, 1]
                 determinant = sxx * syy - sxy * sxy
                 square = syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy
-                if square < squares[i] * determinant and _may_pair(query.problem, i, j, anchor):
+                if square < squares[i] * determinant and _may_pair(problem, i, j, anchor):
                     features[i], squares[i] = j, square / determinant
         misses += features[i] == UNPAIRED
-        for k in range(i if features[i] != UNPAIRED else 0):
+        for k in range(i if features[i] != UNPAIRED else 0):  # of two that claim one feature, the nearer wins
             if features[k] == features[i]:
                 features[k if squares[k] > squares[i] else i] = UNPAIRED
                 misses += 1

@@ -22,21 +22,10 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import Crowding, crowding_of
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import difference_covariances, measured
+from slam_gym.association.relocation.constraints import Mapped, difference_covariances, map_arrays
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.problem import Problem, answer_of, location_gates, nothing_found
-from slam_gym.association.relocation.triangle_search import (
-    FAR,
-    Bytes,
-    Grid,
-    Integers32,
-    Query,
-    Raster,
-    TriangleHash,
-    cell_number,
-    search,
-)
+from slam_gym.association.relocation.problem import answer_of, nothing_found, problem_of
+from slam_gym.association.relocation.triangle_search import FAR, Grid, Raster, TriangleHash, cell_number, search
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _WITHIN = 23  # features within reach of each feature; more in small maps
@@ -103,16 +92,9 @@ class FeatureIndex:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         if node_limit is None:
             node_limit = _POSES + _POSES_EACH * len(self)
-        problem = Problem(
-            measured(scan_arrays(scan), confidence),
-            self._mapped,
-            location_gates(len(scan), confidence),
-            np.empty((0, 0), np.bool_),
-            *locality_arrays(locality, len(self)),
-            np.zeros(8, np.int64),
-        )
+        problem = problem_of(scan, self._mapped, locality, confidence, tabulate=False)
         best = nothing_found(len(scan))
-        search(self._hash, Query(problem, min_pairings, node_limit), best)
+        search(self._hash, problem, min_pairings, node_limit, best)
         answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
         if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
             located = locate(scan, self.landmarks, answer.features)
@@ -208,7 +190,7 @@ def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:
 @compiled
 def _triangles(
     mapped: Mapped, neighbours: tuple[IntArray, IntArray], quantum: float, reach: float, most: int
-) -> tuple[NDArray[np.int16], Integers32, NDArray[np.float32]]:
+) -> tuple[NDArray[np.int16], NDArray[np.int32], NDArray[np.float32]]:
     """Cell, corners and sides of each triangle. If there are more than `most`, only `most` + 1 of them."""
     F, P, (starts, later), count = mapped.positions, mapped.covariances, neighbours, 0
     cells, corners = np.empty(most + 1, np.int16), np.empty((most + 1, 3), np.int32)
@@ -223,13 +205,9 @@ def _triangles(
                 ordered[0], ordered[1], ordered[2], variance = f, j if area >= 0.0 else l, l if area >= 0.0 else j, 0.0
                 for k in range(3):
                     a, b = ordered[k], ordered[(k + 1) % 3]
-                    x, y, xx, yy = (
-                        F[b, 0] - F[a, 0],
-                        F[b, 1] - F[a, 1],
-                        P[a, 0, 0] + P[b, 0, 0],
-                        P[a, 1, 1] + P[b, 1, 1],
-                    )
-                    square, xy = x * x + y * y, P[a, 0, 1] + P[b, 0, 1]
+                    x, y = F[b, 0] - F[a, 0], F[b, 1] - F[a, 1]
+                    xx, xy, yy = P[a, 0, 0] + P[b, 0, 0], P[a, 0, 1] + P[b, 0, 1], P[a, 1, 1] + P[b, 1, 1]
+                    square = x * x + y * y
                     lengths[k] = math.sqrt(square)
                     side_variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
                     variance = max(variance, side_variance)
@@ -266,15 +244,16 @@ def _raster_of(positions: Array, widest: Array, side: float) -> Raster:
     side, low, high = _coarse_enough(positions, side, _RASTER_CELLS)
     step, (left, bottom) = 7.0 * side / FAR, (low - 9.0 * side).tolist()
     columns, rows = (math.floor(extent / side) + 19 for extent in (high - low).tolist())
-    raster = np.full((rows, columns), FAR, np.uint8)
-    _paint(raster, (left, bottom, side), step, positions, chi2_gate(2, 0.99) * widest)
-    return Raster(raster, (left, bottom, side), step)
+    raster = Raster(np.full((rows, columns), FAR, np.uint8), (left, bottom, side), step)
+    _paint(raster, positions, chi2_gate(2, 0.99) * widest)
+    return raster
 
 
 @compiled
-def _paint(raster: Bytes, origin: tuple[float, float, float], step: float, positions: Array, explained: Array) -> None:
+def _paint(raster: Raster, positions: Array, explained: Array) -> None:
     """Write the distances to all features; `explained` (n,) [m²] of their squares is the features' own uncertainty."""
-    (rows, columns), (left, bottom, side), furthest = raster.shape, origin, (FAR * step) ** 2
+    steps, (left, bottom, side), step = raster
+    (rows, columns), furthest = steps.shape, (FAR * step) ** 2
     for j in range(len(positions)):
         x, y, radius = positions[j, 0], positions[j, 1], math.sqrt(furthest + explained[j])
         for row in range(max(int((y - radius - bottom) / side), 0), min(int((y + radius - bottom) / side) + 1, rows)):
@@ -284,4 +263,4 @@ def _paint(raster: Bytes, origin: tuple[float, float, float], step: float, posit
                 dx = max(column * side + left - x, x - left - (column + 1) * side, 0.0)
                 square = dx * dx + dy * dy - explained[j]
                 if square < furthest:
-                    raster[row, column] = min(raster[row, column], int(math.sqrt(max(square, 0.0)) / step))
+                    steps[row, column] = min(steps[row, column], int(math.sqrt(max(square, 0.0)) / step))

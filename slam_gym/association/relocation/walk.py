@@ -13,21 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.relocation.problem import (
-    LEAVES,
-    LIMIT,
-    NODES,
-    TRIES,
-    UNARY,
-    answer_of,
-    nothing_found,
-    offer,
-    problem_of,
-)
+from slam_gym.association.relocation.constraints import map_arrays
+from slam_gym.association.relocation.problem import COUNT, answer_of, nothing_found, offer, problem_of
 from slam_gym.association.relocation.tree import RelocationBranches, branches, extend, root
 from slam_gym.association.walks import ORDERS, Order
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
-from slam_gym.validation import one_of
+from slam_gym.validation import check_count, one_of
 
 
 @dataclass(frozen=True)
@@ -41,10 +32,8 @@ class WalkSpec:
     confidence: float = 0.99  # of all constraints and of the joint test
 
     def __post_init__(self) -> None:
-        for name in ("candidates", "node_limit"):
-            value = getattr(self, name)
-            if not (isinstance(value, int | np.integer) and value >= 1):
-                raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
+        check_count("candidates", self.candidates)
+        check_count("node_limit", self.node_limit)
         one_of("order", self.order, ORDERS)
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"confidence: {self.confidence} is not between 0 and 1")
@@ -76,8 +65,8 @@ class RelocationWalk:
         if not spec.sizes:
             scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
         self.spec, self.scan, self.landmarks, self.locality = spec, scan, landmarks, locality
-        self.problem = problem_of(scan, landmarks, locality, spec.confidence)
-        self.problem.effort[UNARY] = self.problem.allowed.size
+        self.problem = problem_of(scan, map_arrays(landmarks), locality, spec.confidence)
+        self.problem.effort[COUNT.unary_tests] = self.problem.allowed.size
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.done = False
         self._first_offer: RelocationBranches | None = None  # the same for every try
@@ -85,8 +74,6 @@ class RelocationWalk:
         self.order = self._in_order()  # (m,) the measurements, level by level
         self.best = self.answer()
         self._begin()
-
-    # state of the walk
 
     @property
     def level(self) -> int:
@@ -116,12 +103,12 @@ class RelocationWalk:
     @property
     def nodes(self) -> int:
         """Number of nodes used so far."""
-        return int(self.problem.effort[NODES])
+        return int(self.problem.effort[COUNT.nodes])
 
     @property
     def tries(self) -> int:
         """Number of walks from the root, including this one."""
-        return int(self.problem.effort[TRIES])
+        return int(self.problem.effort[COUNT.tries])
 
     @property
     def mask(self) -> BoolArray:
@@ -137,8 +124,6 @@ class RelocationWalk:
             return self.spec.star
         matches = np.flatnonzero(self.shown == feature)
         return int(matches[0]) if len(matches) else None
-
-    # actions
 
     def take(self, action: int) -> None:
         """Carry out an action. Raises ValueError for an action that is not legal, and once the walk is done."""
@@ -165,8 +150,8 @@ class RelocationWalk:
         self.node = root(self.problem)
         self.compatible: bool | None = None  # at a leaf: whether the hypothesis passes the joint test
         self.offered: list[tuple[int, int]] = []  # of each level decided: candidates on offer, action taken
-        self.problem.effort[NODES] += 1
-        self.problem.effort[TRIES] += 1
+        self.problem.effort[COUNT.nodes] += 1
+        self.problem.effort[COUNT.tries] += 1
         self.offer: RelocationBranches | None = None  # the ranked features for the measurement; None at a leaf
         self._go_on()
 
@@ -182,7 +167,7 @@ class RelocationWalk:
         feature = UNPAIRED if action == self.spec.star else int(self.shown[action])
         self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
         self.offered.append((len(self.shown), action))
-        self.problem.effort[NODES] += 1
+        self.problem.effort[COUNT.nodes] += 1
 
     def _go_on(self) -> None:
         """Pass the levels without a choice; then make the offer of the next level, or judge the leaf."""
@@ -190,7 +175,7 @@ class RelocationWalk:
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(self.spec.star)
         if self._spent or self.level == m:
-            self.problem.effort[LIMIT] = self._spent
+            self.problem.effort[COUNT.limit_hit] = self._spent
             self.compatible = self._judge()
         elif at_root and self._first_offer is not None:
             self.offer = self._first_offer
@@ -203,9 +188,8 @@ class RelocationWalk:
         return self.nodes >= self.spec.node_limit
 
     def _judge(self) -> bool:
-        """Locate and test the hypothesis of the path, and keep it if none has more pairings. Returns whether it
-        passes."""
-        self.problem.effort[LEAVES] += 1
+        """Locate and test the hypothesis of the path, keep it if none has more pairings; return whether it passes."""
+        self.problem.effort[COUNT.leaves] += 1
         holds = offer(self._kept, self.problem, self.node.path, self.node.pairings)
         if holds:
             self.best = self.answer()

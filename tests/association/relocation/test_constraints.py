@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.relocation.constraints import binary_test, orientation_test
+from slam_gym.association.relocation.constraints import binary_test, map_arrays, orientation_test
 from slam_gym.association.relocation.problem import problem_of
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
@@ -14,18 +14,18 @@ from tests.oracles.statistics import for_seeds
 
 def unary(scan, landmarks, confidence=0.99):
     """Which measurement may come from which feature by what they are."""
-    return problem_of(scan, landmarks, None, confidence).allowed
+    return problem_of(scan, map_arrays(landmarks), None, confidence).allowed
 
 
 def binary(scan, landmarks, *pairs, confidence=0.99):
     """Whether two pairings agree in their distances."""
-    problem = problem_of(scan, landmarks, None, confidence)
+    problem = problem_of(scan, map_arrays(landmarks), None, confidence)
     return binary_test(problem.scan, problem.mapped, *pairs[0], *pairs[1])
 
 
 def orientation(scan, landmarks, *pairs):
     """Whether three pairings go round in the same sense."""
-    problem = problem_of(scan, landmarks, None, 0.99)
+    problem = problem_of(scan, map_arrays(landmarks), None, 0.99)
     return orientation_test(problem.scan, problem.mapped, *zip(*pairs))
 
 

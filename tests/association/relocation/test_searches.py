@@ -66,7 +66,7 @@ def test_as_many_samples_as_asked_for():
         random_sampling(scan, landmarks).effort.tries == 8
         and random_sampling(scan, landmarks, tries=23).effort.tries == 23
     )
-    with pytest.raises(ValueError, match="tries 0"):
+    with pytest.raises(ValueError, match=r"tries: .* got 0"):
         random_sampling(scan, landmarks, tries=0)
 
 
