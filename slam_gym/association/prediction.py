@@ -41,8 +41,7 @@ PredictionArrays = tuple[RowArrays, SourceArrays, Sizes]
 
 _NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
 _NOTHING = np.empty(0)
-_NO_NEIGHBOURS, _NO_DEGREES = np.empty((0, 0), np.int64), np.empty(0, np.int64)
-_NO_RECENT = np.empty(0, np.int64)
+_NO_NEIGHBOURS, _NO_FEATURES = np.empty((0, 0), np.int64), np.empty(0, np.int64)
 _STILL, _CERTAIN, _NOT_MEASURED = np.empty(0), np.zeros((3, 3)), (np.empty((0, 2)), np.empty((0, 2, 2)))
 _FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `RowArrays`
 
@@ -276,14 +275,12 @@ class Prediction:
         blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
         counted = np.stack([np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)])
         rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), means, blocks, np.zeros((k, 2))
-        source = np.zeros(4), x, padded_P, _NO_NEIGHBOURS, _NO_DEGREES, _NO_SENSOR, _NOTHING
+        source = np.zeros(4), x, padded_P, _NO_NEIGHBOURS, _NO_FEATURES, _NO_SENSOR, _NOTHING
         return cls(rows, source, (k, k, False, False), confidence)
 
 
 Associator = Callable[[Scan, Prediction], Hypothesis]
 """The interface of all associators: a function that decides which feature each measurement comes from."""
-
-NO_SIGHTINGS: IntArray = np.empty(0, np.int64)
 
 
 class StartRule(Enum):
@@ -306,7 +303,7 @@ class SlamStep:
     ids: IntArray  # (m,) id of the map feature that each measurement updated or started; NO_ID = discarded
     created: BoolArray  # (m,) the measurement started a feature, by `rule`
     removed: IntArray  # ids of the features that were removed from the map during the step
-    returned: IntArray = field(default_factory=lambda: NO_SIGHTINGS)
+    returned: IntArray = field(default_factory=lambda: _NO_FEATURES)
     # ids of features that were removed when another map was started, and are back since the two maps were joined
 
     @property
@@ -322,7 +319,7 @@ def predict(
     odometry: Odometry | None = None,
     scan: Scan | None = None,
     graph: CovisibilityGraph | None = None,
-    recent: IntArray = _NO_RECENT,
+    recent: IntArray = _NO_FEATURES,
     accidental: tuple[float, float] = (0.0, math.inf),
     sight: ViewsFrom | None = None,
     view_moves: bool = True,
@@ -346,7 +343,7 @@ def predict(
     """
     motion = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
     measured = _NOT_MEASURED if scan is None else (scan.points, scan.covariances)
-    neighbours, degrees = (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
+    neighbours, degrees = (_NO_NEIGHBOURS, _NO_FEATURES) if graph is None else graph.arrays[::2]
     spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)
     k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (neighbours, degrees, recent), pose, rows)
     if odometry is not None:
