@@ -13,7 +13,7 @@ any number of them. It runs as plain numpy: no learning library is needed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -42,27 +42,16 @@ SHAPES = {
 the latter two by their place in `ORDERS` and `COMPATIBILITIES`."""
 
 
-@dataclass(frozen=True)
-class BestBranch:
-    """The policy of the interpretation tree that takes the legal branch of the greatest score."""
-
-    arrays: dict[str, Array]
-
-    def __call__(self, observation: Observation, mask: BoolArray) -> int:
-        legal = np.flatnonzero(mask)
-        return int(legal[np.argmax(self.scores(observation, len(mask) - 1)[legal])])
-
-    def scores(self, observation: Observation, candidates: int) -> Array:
-        """(K + 1,) of the K `candidates` and of `*`."""
-        own = self.arrays
-        rows = np.zeros((candidates + 1, _ROW))
-        rows[:candidates] = observation["candidates"].reshape(candidates, _ROW)
-        rows[candidates, _LEGAL] = 1.0
-        each = _layer(own["B"], own["b"], _layer(own["A"], own["a"], rows)) * rows[:, _LEGAL, None]
-        rest = _layer(own["C"], own["c"], np.concatenate([observation["measurement"], observation["path"]]))
-        shared = np.broadcast_to(np.concatenate([rest, each.max(axis=0)]), (len(rows), len(rest) + each.shape[1]))
-        scored: Array = _layer(own["D"], own["d"], np.hstack([each, shared])) @ own["w"][0] + own["w0"]
-        return scored
+def _best_branch(own: dict[str, Array], observation: Observation, mask: BoolArray) -> int:
+    """The policy that takes the legal branch of the greatest score by the weights `own`."""
+    rows, legal = np.zeros((len(mask), _ROW)), np.flatnonzero(mask)
+    rows[:-1] = observation["candidates"].reshape(len(mask) - 1, _ROW)
+    rows[-1, _LEGAL] = 1.0  # `*`
+    each = _layer(own["B"], own["b"], _layer(own["A"], own["a"], rows)) * rows[:, _LEGAL, None]
+    rest = _layer(own["C"], own["c"], np.concatenate([observation["measurement"], observation["path"]]))
+    shared = np.broadcast_to(np.concatenate([rest, each.max(axis=0)]), (len(rows), len(rest) + each.shape[1]))
+    scores = _layer(own["D"], own["d"], np.hstack([each, shared])) @ own["w"][0] + own["w0"]
+    return int(legal[np.argmax(scores[legal])])
 
 
 def _layer(weights: Array, offsets: Array, inputs: Array) -> Array:
@@ -89,4 +78,5 @@ def walk_by(weights: str | Path) -> Associator:
     if not (candidates >= 1 and 0 <= order < len(ORDERS) and 0 <= compatibility < len(COMPATIBILITIES)):
         raise ValueError(f"weights {weights}: walk: no such order or compatibility")
     walk = {"order": ORDERS[order], "compatibility": COMPATIBILITIES[compatibility]}
-    return from_policy(BestBranch(arrays), candidates=candidates, **walk)  # type: ignore[arg-type]
+    policy = functools.partial(_best_branch, arrays)
+    return from_policy(policy, candidates=candidates, **walk)  # type: ignore[arg-type]

@@ -39,14 +39,10 @@ def true_association(
     for row, source in enumerate(identities[prediction.features].tolist()):
         row_of.setdefault(source, row)
     rows = np.array([row_of.get(s, UNPAIRED) if s >= 0 else UNPAIRED for s in sources.tolist()], np.int64)
-    new = _first_seen(sources, identities) if new_features else None
+    new: BoolArray | None = None
+    if new_features:
+        unmapped = np.flatnonzero((sources >= 0) & ~np.isin(sources, identities))
+        new = np.zeros(len(sources), np.bool_)
+        new[unmapped[np.unique(sources[unmapped], return_index=True)[1]]] = True
     decided = answer(scan.arrays, prediction.arrays, rows, Spent(len(rows), 0, 0, False))
     return decided.hypothesis(new=new, exclusive=False)
-
-
-def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:
-    """(m,) whether each measurement is the first of a true feature that is not in the map."""
-    unmapped = np.flatnonzero((sources >= 0) & ~np.isin(sources, identities))
-    new = np.zeros(len(sources), np.bool_)
-    new[unmapped[np.unique(sources[unmapped], return_index=True)[1]]] = True
-    return new
