@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Literal, get_args
 
@@ -9,10 +10,11 @@ import numpy as np
 
 from slam_gym.association.compatibility import Candidates, chi2_gate, individual
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.observation import Choice, encode, local_of, nothing
+from slam_gym.association.tracking.observation import Choice, encode, nothing
 from slam_gym.association.tree import add_pairing, added_by, decided, hypothesis, interpretation_tree, root
 from slam_gym.association.walks import ORDERS, Observation, Order
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
+from slam_gym.validation import check_count, one_of
 
 NEW_CONFIDENCE, FEWEST_PAIRED, SHARE_PAIRED = 0.99999, 5, 0.8
 """When a walk says which measurements start features, and by which gate: see `Walk.hypothesis`."""
@@ -56,7 +58,6 @@ class Walk:
         self.level = 0  # the level that decides next
         self.chosen = np.full(self.tree.levels, UNPAIRED)  # candidate taken at each level, UNPAIRED for `*`
         self._tests = 0
-        self._local: BoolArray | None = None  # of the features, for observations
         self._proceed()
 
     @property
@@ -75,11 +76,6 @@ class Walk:
     def pairings(self) -> int:
         """Number of pairings so far."""
         return len(self.node.path)
-
-    @property
-    def distance(self) -> float:
-        """D²_H of those."""
-        return self.node.distance
 
     @property
     def rows(self) -> IntArray:
@@ -113,13 +109,15 @@ class Walk:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
             return nothing(self.K)
-        if self._local is None:
-            self._local = local_of(self.tree)
-        starts, level = self.candidates.starts, self.level
-        later = int(starts[level + 1])
-        compatible = later - int(starts[level])
-        choice = Choice(level, self.tree.levels, self.K, self.offered, self.hidden, compatible, later)
+        first, later = self.candidates.starts[self.level : self.level + 2].tolist()
+        choice = Choice(self.level, self.tree.levels, self.K, self.offered, self.hidden, later - first, later)
         return encode(self.tree, self.node, self._local, choice)
+
+    @functools.cached_property
+    def _local(self) -> BoolArray:
+        """(u, u) which of the features that the tree may pair are local to each other; (0, 0): all are to all."""
+        prediction = self.tree.prediction
+        return prediction.local(self.tree.rows) if prediction.has_localities else self.tree.pairings.local
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
@@ -183,12 +181,9 @@ class Walk:
 
 def check_arguments(candidates: int, order: str, compatibility: str) -> None:
     """Raises ValueError, listing what is known, for arguments that no walk can have."""
-    if not (isinstance(candidates, int | np.integer) and candidates >= 1):
-        raise ValueError(f"candidates: expected a whole number >= 1, got {candidates!r}")
-    if order not in ORDERS:
-        raise ValueError(f"order={order!r}; known: {', '.join(ORDERS)}")
-    if compatibility not in COMPATIBILITIES:
-        raise ValueError(f"compatibility={compatibility!r}; known: {', '.join(COMPATIBILITIES)}")
+    check_count("candidates", candidates)
+    one_of("order", order, ORDERS)
+    one_of("compatibility", compatibility, COMPATIBILITIES)
 
 
 def _in_order(scan: Scan, prediction: Prediction, order: str) -> Candidates:
