@@ -59,11 +59,6 @@ class Tree(NamedTuple):
         """Number of decisions from the root to a leaf."""
         return len(self.candidates.measurements)
 
-    def level(self, number: int) -> tuple[int, int]:
-        """Indices of the first pairing of a level and of the first one after it."""
-        starts = self.candidates.starts
-        return int(starts[number]), int(starts[number + 1])
-
 
 class Innovation(NamedTuple):
     """e and S of a pairing, conditioned on the pairings before it."""
@@ -126,7 +121,7 @@ def branches(tree: Tree, node: Node) -> Branches:
     """The branches of `node`. Raises ValueError at a leaf."""
     if node.level >= tree.levels:
         raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
-    first, last = tree.level(node.level)
+    first, last = tree.candidates.starts[node.level : node.level + 2].tolist()
     joint = node.distance + added_by(tree.pairings, node.path, node.added, first, last)
     rows = tree.rows[tree.pairings.slots[first:last]]
     legal = joint < tree.gates[len(node.path) + 1]
@@ -145,7 +140,7 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
     if not len(chosen):
         measurement = tree.candidates.measurements[node.level]
         raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {decided(tree, node)}")
-    first, last = tree.level(node.level)
+    first, last = tree.candidates.starts[node.level : node.level + 2].tolist()
     return add_pairing(tree.pairings, node, first + int(chosen[0]), last)
 
 
@@ -241,21 +236,6 @@ def may_follow(pairings: Pairings, path: IntArray, p: int, c: int) -> bool:
     return True
 
 
-@compiled
-def root_of(pairings: Pairings) -> Node:
-    """`root`, compiled."""
-    count = len(pairings.slots)
-    innovations, added = np.empty((count, 5)), np.empty(count)
-    for c in range(count):
-        e = innovation_of(pairings, c)
-        store(innovations, c, e)
-        added[c] = squared(e)
-    node = Node(0, np.empty(0, np.int64), 0.0, innovations, added, np.empty((count, 2, 2)))
-    for d in range(pairings.fixed):
-        node = add_pairing(pairings, node, d, d + 1)
-    return Node(0, node.path, node.distance, node.innovations, node.added, node.w)
-
-
 @inlined
 def store(innovations: Array, c: int, e: Innovation) -> None:
     """Write an innovation to row c of (c, 5)."""
@@ -267,6 +247,31 @@ def store(innovations: Array, c: int, e: Innovation) -> None:
 def read(innovations: Array, c: int) -> Innovation:
     """The innovation in row c."""
     return Innovation(innovations[c, 0], innovations[c, 1], innovations[c, 2], innovations[c, 3], innovations[c, 4])
+
+
+@inlined
+def condition_on_fixed(pairings: Pairings, innovations: Array, w: Array) -> float:
+    """Write the innovations (c, 5) of all pairings given the fixed ones before them, and w. Returns D² of the fixed."""
+    slots, distance = pairings.slots, 0.0
+    for c in range(len(slots)):
+        store(innovations, c, innovation_of(pairings, c))
+    for d in range(pairings.fixed):
+        e = read(innovations, d)
+        pivot, distance = pivot_of(slots[d], e), distance + squared(e)
+        for c in range(d + 1, len(slots)):
+            store(innovations, c, condition(pairings.covariance, w, pivot, d, d, c, slots[c], read(innovations, c)))
+    return distance
+
+
+@compiled
+def root_of(pairings: Pairings) -> Node:
+    """`root`, compiled."""
+    count, fixed = len(pairings.slots), pairings.fixed
+    innovations, added, w = np.empty((count, 5)), np.empty(count), np.empty((count, 2 * fixed + 2, 2))
+    distance = condition_on_fixed(pairings, innovations, w)
+    for c in range(fixed, count):
+        added[c] = squared(read(innovations, c))
+    return Node(0, np.arange(fixed), distance, innovations, added, w)
 
 
 @compiled

@@ -36,16 +36,15 @@ _SCRATCH = 0  # the node that holds w of the candidate under examination; hypoth
 _INITIAL_NODES = 64  # initial capacity
 
 
-class Path(NamedTuple):
-    """Pairings by node, each conditioned on those of the nodes before it: of one path, or of all hypotheses of a beam.
+class Joined(NamedTuple):
+    """The pairings of all hypotheses, each a node: as it joined its hypothesis, conditioned on the pairings before it.
 
     A `tree.Node` keeps all candidates that may follow conditioned on it. This is wasted work where there are many
     paths. Here a single candidate is conditioned when it is examined, on the pairings of a path one by one.
     """
 
-    pairings: IntArray  # (N,) the pairing of each node
     pivots: Array  # (N, 5) fields of the `tree.Pivot` of each
-    w: Array  # (N, 2P, 2) w of each as it joined a path of at most P pairings; and of candidates under examination
+    w: Array  # (N, 2P, 2) w of each, in hypotheses of at most P pairings; and of candidates under examination
 
 
 class Beam(NamedTuple):
@@ -55,7 +54,7 @@ class Beam(NamedTuple):
     pairings: IntArray  # (B,) number of pairings, including fixed ones
     made: IntArray  # (B, P) the pairings, in the order in which they joined
     nodes: IntArray  # (B, P) node of each
-    joined: Path  # by node: each pairing, conditioned on those before it
+    joined: Joined
 
 
 class _Room(NamedTuple):
@@ -71,7 +70,7 @@ class _Room(NamedTuple):
     flat: Array  # (B (1 + c),) scores of the hypotheses that may be kept
 
 
-_Level = tuple[_Room, Path, int, int]
+_Level = tuple[_Room, Joined, int, int]
 """The state of a search at one level: its room, its nodes, the half of the room that holds the current hypotheses, and
 their number."""
 
@@ -106,9 +105,8 @@ def search(
 
 
 @compiled
-def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Path, int]:
-    """Room for `width` hypotheses, or for as many as the levels can yield; one hypothesis, that of the fixed pairings,
-    is entered. Also the nodes, and how many are in use."""
+def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Joined, int]:
+    """Room for the hypotheses that `width` allows, with that of the fixed pairings; nodes, and how many are in use."""
     depth = pairings.fixed + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
     most, count, node_count = 0, 1, _SCRATCH + 1
     for level in range(len(levels)):
@@ -120,7 +118,7 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
         np.empty((count, 1 + most)), np.empty(count * (1 + most)),
     )  # fmt: skip
     N = max(_INITIAL_NODES, pairings.fixed + 2)
-    joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * depth, 2)))
+    joined = Joined(np.empty((N, 5)), np.empty((N, 2 * depth, 2)))
     for d in range(pairings.fixed):
         e = _join(pairings, joined, room.made[0, 0], room.nodes[0, 0], d, d, node_count)
         room.score[0, 0] += -0.5 * squared(e) - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
@@ -129,31 +127,17 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
 
 
 @inlined
-def _join(pairings: Pairings, joined: Path, made: IntArray, nodes: IntArray, p: int, c: int, used: int) -> Innovation:
+def _join(pairings: Pairings, joined: Joined, made: IntArray, nodes: IntArray, p: int, c: int, used: int) -> Innovation:
     """Append pairing c to the p pairings of a hypothesis, as node number `used`. Returns its innovation given these."""
-    e = follow(pairings, joined, nodes, p, c, used)
-    append(joined, used, c, e)
+    slots, e = pairings.slots, innovation_of(pairings, c)
+    for q in range(p):
+        v = joined.pivots[nodes[q]]
+        pivot = Pivot(slots[made[q]], v[0], v[1], v[2], v[3], v[4])
+        e = condition(pairings.covariance, joined.w, pivot, nodes[q], q, used, slots[c], e)
+    pivot, v = pivot_of(0, e), joined.pivots[used]
+    v[0], v[1], v[2], v[3], v[4] = pivot.inverse_xx, pivot.yx, pivot.inverse_yy, pivot.u, pivot.v
     made[p], nodes[p] = c, used
     return e
-
-
-@inlined
-def follow(pairings: Pairings, path: Path, nodes: IntArray, p: int, c: int, out: int) -> Innovation:
-    """Innovation of pairing c after those of the first p `nodes`. The w that follows theirs is written to w[out]."""
-    slot, e = pairings.slots[c], innovation_of(pairings, c)
-    for q in range(p):
-        d, v = nodes[q], path.pivots[nodes[q]]
-        pivot = Pivot(pairings.slots[path.pairings[d]], v[0], v[1], v[2], v[3], v[4])
-        e = condition(pairings.covariance, path.w, pivot, d, q, out, slot, e)
-    return e
-
-
-@inlined
-def append(path: Path, d: int, c: int, e: Innovation) -> None:
-    """Make pairing c node d, with its innovation e as `follow` has just computed it."""
-    pivot, v = pivot_of(0, e), path.pivots[d]
-    path.pairings[d] = c
-    v[0], v[1], v[2], v[3], v[4] = pivot.inverse_xx, pivot.yx, pivot.inverse_yy, pivot.u, pivot.v
 
 
 @compiled
@@ -162,11 +146,10 @@ def _offer_star(room: _Room, now: int, kept: int, count: int, unpaired: float) -
     offered, score, pairings, nodes, shared = room.offered, room.score, room.pairings, room.nodes, room.shared
     best = -math.inf
     for b in range(kept):
-        offered[b, 0] = score[now, b] + unpaired
+        offered[b, 0], shared[b] = score[now, b] + unpaired, 0
         best = max(best, offered[b, 0])
         for k in range(1, 1 + count):
             offered[b, k] = -math.inf
-        shared[b] = 0
         p = min(pairings[now, b], pairings[now, b - 1]) if b > 0 else 0
         while shared[b] < p and nodes[now, b, shared[b]] == nodes[now, b - 1, shared[b]]:
             shared[b] += 1
@@ -177,12 +160,8 @@ def _offer_star(room: _Room, now: int, kept: int, count: int, unpaired: float) -
 def _offer_pairing(
     pairings: Pairings, level: _Level, c: int, place: int, price: tuple[float, float], best: float
 ) -> tuple[float, int]:
-    """Score pairing c, at its `price` (gain and margin), after each hypothesis that allows it. Writes the scores to
-    column `place` of the offers.
-
-    Returns the best score, and the number of joint tests. Hypothesis b shares its first shared[b] nodes with the one
-    before, and innovations[q] is that of c after q nodes: both are recomputed only from where the hypotheses differ.
-    """
+    """Write the scores of pairing c, at its `price` (gain, margin), after each hypothesis, to column `place` of the
+    offers. Returns the best score and the number of joint tests."""
     room, joined, now, kept = level
     gain, margin = price
     slots, covariance, local, fixed = pairings.slots, pairings.covariance, pairings.local, pairings.fixed
@@ -190,7 +169,7 @@ def _offer_pairing(
     shared, offered = room.shared, room.offered
     pivots, w, slot = joined.pivots, joined.w, slots[c]
     most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
-    valid, tests = 0, 0
+    valid, tests = 0, 0  # valid: nodes after which the innovation of c is known, from the hypotheses before
     store(innovations, 0, innovation_of(pairings, c))
     for b in range(kept):
         valid, p = min(valid, shared[b]), count[now, b]
@@ -274,30 +253,29 @@ def _condition_all(P: Array, node_w: Array, pivots: Array, d: int, slot: int, q:
 @compiled
 def _select(
     pairings: Pairings, state: _Level, level: IntArray, least: float, width: int, used: int
-) -> tuple[Path, int, int, bool]:
-    """Write the hypotheses of the next level: the best of those that score at least `least`. Each continues with `*`,
-    then with the pairings of the `level`. Returns the nodes, how many are in use, the number of hypotheses, and whether
-    the width excluded any."""
+) -> tuple[Joined, int, int, bool]:
+    """Write the best hypotheses of the next level, by `*` and the pairings of the `level`. Returns the nodes, how many
+    are in use, the number of hypotheses, and whether the width excluded any."""
     room, joined, now, kept = state
-    offered, scores, first, last = room.offered, room.flat, level[0], level[1]
-    score, count, made, nodes = room.score, room.pairings, room.made, room.nodes
-    selected = 0
+    first, offers = level[0], 1 + level[1] - level[0]
+    score, count, made, nodes, offered = room.score, room.pairings, room.made, room.nodes, room.offered
+    scores, selected = room.flat, 0
     for b in range(kept):
-        for k in range(1 + last - first):
+        for k in range(offers):
             if offered[b, k] >= least and offered[b, k] > -math.inf:
                 scores[selected] = offered[b, k]
                 selected += 1
     full, next_half = selected > width, 1 - now
     threshold = np.partition(scores[:selected], selected - width)[selected - width] if full else least
     ties = width - np.count_nonzero(scores[:selected] > threshold)  # so many hypotheses that score just the threshold
-    capacity, count_after, selected = len(joined.pairings), used + min(selected, width), 0
+    capacity, count_after, selected = len(joined.pivots), used + min(selected, width), 0
     if count_after > capacity:
         N, old = 2 * count_after, joined
-        joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, old.w.shape[1], 2)))
-        joined.pairings[:capacity], joined.pivots[:capacity], joined.w[:capacity] = old.pairings, old.pivots, old.w
+        joined = Joined(np.empty((N, 5)), np.empty((N, old.w.shape[1], 2)))
+        joined.pivots[:capacity], joined.w[:capacity] = old.pivots, old.w
     for b in range(kept):
         p = count[now, b]
-        for k in range(1 + last - first):
+        for k in range(offers):
             if selected == width or not offered[b, k] >= threshold or offered[b, k] == -math.inf:
                 continue
             if full and offered[b, k] == threshold:

@@ -28,11 +28,11 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Expected, Prediction, visibility
-from slam_gym.association.tracking.beam import Beam, Path, append, follow, updated
+from slam_gym.association.tracking.beam import Beam, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
 from slam_gym.association.tracking.near_first import Spent
-from slam_gym.association.tree import Pairings, is_local, squared
+from slam_gym.association.tree import Node, Pairings, condition, is_local, pivot_of, read, root_of, squared
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 
 UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
@@ -160,16 +160,13 @@ def search_tree(problem: ScanProblem, odds: Array, width: int, margin: float) ->
 def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
     """`ScanProblem.levels`: measurements whose candidates have most support come first. Support is the number of other
     measurements with a candidate within the gate after an update with that single pairing."""
-    P, count, others = pairings.fixed + 2, 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
-    path, nodes = Path(np.zeros(P, np.int64), np.empty((P, 5)), np.empty((P, 2 * P, 2))), np.arange(P)
-    for d in range(pairings.fixed):
-        append(path, d, d, follow(pairings, path, nodes, d, d, d))
+    root, count, others = root_of(pairings), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
     order_keys, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
         first, last = pairings.fixed + starts[i], pairings.fixed + starts[i + 1]
         for c in range(first, last):
             if order_keys[count] > -others:
-                order_keys[count] = min(order_keys[count], -_support(pairings, path, nodes, c, gate))
+                order_keys[count] = min(order_keys[count], -_support(pairings, root, c, gate))
         if first < last:
             levels[count, 0], levels[count, 1] = first, last
             count += 1
@@ -177,20 +174,19 @@ def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
 
 
 @compiled
-def _support(pairings: Pairings, path: Path, nodes: IntArray, anchor: int, gate: float) -> int:
-    """The support of a pairing; `path` holds the fixed pairings in the first of its `nodes`."""
+def _support(pairings: Pairings, root: Node, anchor: int, gate: float) -> int:
+    """The support of a pairing."""
     p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
-    e = follow(pairings, path, nodes, p, anchor, p)
-    if squared(e) == math.inf:
+    if root.added[anchor] == math.inf:
         return 0
-    append(path, p, anchor, e)
-    support, last = 0, measured[anchor]
+    pivot, support, last = pivot_of(slots[anchor], read(root.innovations, anchor)), 0, measured[anchor]
     for c in range(p, len(slots)):
         if measured[c] == last or measured[c] == measured[anchor] or slots[c] == slots[anchor]:
             continue
         if not is_local(pairings.local, slots[anchor], slots[c]):
             continue
-        if squared(follow(pairings, path, nodes, p + 1, c, p + 1)) < gate:
+        e = condition(pairings.covariance, root.w, pivot, anchor, p, c, slots[c], read(root.innovations, c))
+        if squared(e) < gate:
             support, last = support + 1, measured[c]
     return support
 

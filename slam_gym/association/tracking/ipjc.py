@@ -24,11 +24,12 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import joint_gates
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.jcbb import check_node_limit, jcbb
+from slam_gym.association.tracking.jcbb import jcbb
 from slam_gym.association.tracking.near_first import Offer, near_first
 from slam_gym.association.tree import Pairings, may_follow
 from slam_gym.mapping.measurement import joint_covariance
 from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
+from slam_gym.validation import check_count
 
 _ITERATIONS, _CONVERGED = 30, 1e-10  # [rad]
 
@@ -43,7 +44,7 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
     `joint_distance` is the optimised D²_H. `node_limit`, localities, `effort.limit_hit` and errors are those of `jcbb`,
     but a limit that is reached before all measurements were decided once leaves all of them unpaired.
     """
-    check_node_limit(node_limit)
+    check_count("node_limit", node_limit)
     variance = prediction.heading_variance
     if not variance > 0.0:
         return jcbb(scan, prediction, node_limit=node_limit)
@@ -72,10 +73,7 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
 def _search(
     pairings: Pairings, starts: IntArray, errors: Array, variance: float, gates: Array, node_limit: int
 ) -> tuple[IntArray, int, bool]:
-    """The pairings of the best hypothesis, the nodes visited, and whether the limit was reached. Depth first, `*` last.
-
-    `errors` (c, 2, 4) are the four vectors of e(φ).
-    """
+    """Best pairings, by `errors` (c, 2, 4) of the vectors of e(φ); nodes visited; whether the limit was reached."""
     levels, first = len(starts) - 1, pairings.fixed + starts
     later = np.zeros(levels + 1, np.int64)  # number of levels from this one on that have a candidate
     for level in range(levels - 1, -1, -1):

@@ -18,7 +18,7 @@ from slam_gym.association.tracking.near_first import Decided, Spent, decided, of
 from slam_gym.association.tree import (
     Pairings,
     condition,
-    innovation_of,
+    condition_on_fixed,
     is_local,
     may_follow,
     pivot_of,
@@ -27,28 +27,22 @@ from slam_gym.association.tree import (
     store,
 )
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan, ScanArrays
+from slam_gym.validation import check_count
 
-NODE_LIMIT = 100_000  # default limit of a search
 TEST_LIMIT = 1_000_000  # joint tests of a search: where the robot is lost, a node has thousands of candidates
 _UNDECIDED = -1  # in place of a level that is not known yet
 
 
-def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) -> Hypothesis:
+def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hypothesis:
     """The jointly compatible hypothesis with the most pairings, and of these the one with the least D²_H.
 
     Where the prediction has localities, two searches are made (`near_first`). Each is limited to `node_limit` nodes and
     a million joint tests. Where a limit is reached, `effort.limit_hit` is set and the best hypothesis so far is
     returned. Raises ValueError as `individual`, and for a node limit below 1.
     """
-    check_node_limit(node_limit)
+    check_count("node_limit", node_limit)
     gates = joint_gates(max(len(scan), 1), prediction.confidence)
     return _decide(scan.arrays, prediction.arrays, gates, node_limit).hypothesis()
-
-
-def check_node_limit(node_limit: int) -> None:
-    """Raise ValueError for a limit below 1."""
-    if node_limit < 1:
-        raise ValueError(f"node_limit: {node_limit} is less than 1")
 
 
 @compiled
@@ -153,8 +147,8 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
 @compiled
 def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
     """The stack with the candidates that may follow the fixed pairings, with which the path begins."""
-    slots, measured, _, _, covariance, _, fixed = pairings
-    count, features, depth = len(slots), len(covariance) // 2, len(path)
+    measured, fixed, depth = pairings.measured, pairings.fixed, len(path)
+    count, features = len(measured), len(pairings.covariance) // 2
     stack = _Stack(
         np.empty((depth, count), np.int64),
         np.empty((depth, count)),
@@ -167,14 +161,8 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
         np.zeros(depth),
         np.zeros(features + 1, np.int64),
     )
-    innovations, distance, alive_count, last = stack.innovations[fixed], 0.0, 0, _UNDECIDED
-    for c in range(count):
-        store(innovations, c, innovation_of(pairings, c))
-    for d in range(fixed):
-        e = read(innovations, d)
-        pivot, distance = pivot_of(slots[d], e), distance + squared(e)
-        for c in range(d + 1, count):
-            store(innovations, c, condition(covariance, stack.w, pivot, d, d, c, slots[c], read(innovations, c)))
+    innovations, alive_count, last = stack.innovations[fixed], 0, _UNDECIDED
+    distance = condition_on_fixed(pairings, innovations, stack.w)
     for c in range(fixed, count):
         if not may_follow(pairings, path, fixed, c):
             continue
@@ -184,18 +172,13 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
         if measured[c] != last:
             stack.levels[fixed], last = stack.levels[fixed] + 1, measured[c]
     stack.end[fixed], stack.distance[fixed], stack.floor[fixed] = alive_count, distance, distance
-    stack.features[fixed] = _count_features(slots, stack.alive[fixed, :alive_count], stack.stamps)
+    stack.features[fixed] = _count_features(pairings.slots, stack.alive[fixed, :alive_count], stack.stamps)
     return stack
 
 
 @inlined
 def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
-    """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Returns the joint
-    tests.
-
-    Candidates that cannot become legal are dropped: at most one pairing of each earlier level that still has a
-    candidate can precede a candidate. Returns early, with no candidate alive, once the bound must fall below `best`.
-    """
+    """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]; return the tests."""
     # unpack once: every access to a field counts a reference
     slots, measured, _, _, covariance, local, fixed = pairings
     alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
@@ -213,12 +196,12 @@ def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: i
         if measured[c] != level:
             if least < math.inf:
                 levels, floor, least = levels + 1, max(floor, least), math.inf
-            if q + levels + remaining < best:
+            if q + levels + remaining < best:  # the bound: no candidate is alive
                 return tests
             remaining, level = remaining - 1, measured[c]
         tests += 1
         e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
-        # eᵀ S⁻¹ e < gate − D²_H without the division: this rejects most candidates
+        # eᵀ S⁻¹ e < gate − D²_H without the division, after at most one pairing of each level: this rejects most
         numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
         determinant = e.xx * e.yy - e.xy * e.xy
         if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
