@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from agents.suite import problems
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.learned import examples
+from slam_gym.association.tracking.marginal import examples
 from slam_gym.recordings import open_recordings
 from slam_gym.scenarios import get_scenario, world_generator, world_seed
 from slam_gym.scenarios.registry import slam_for

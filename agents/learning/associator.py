@@ -97,7 +97,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 def _shipped_loss(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
     """The loss of the shipped weights on the same scans; nothing where those were made for other inputs."""
     try:
-        network = load_network(WEIGHTS, VERSION, INPUTS)
+        network = load_network(WEIGHTS)
     except ValueError:
         return {}
     loss = mean_loss(tensors(network), held_out)

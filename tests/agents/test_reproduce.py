@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from agents.reproduce import app, compared
 from slam_gym import weights
-from slam_gym.association.tracking.network import INPUTS, VERSION, load_network
+from slam_gym.association.tracking.network import load_network
 from slam_gym.weights import figure
 
 
@@ -21,7 +21,7 @@ def test_the_associator_is_trained_from_nothing(tmp_path):
     metrics = found.card.metrics
     ours, model = (metrics[f"cross-entropy held out{of}"]["estimate"] for of in ("", ", the model alone"))
     assert ours < model  # a few scans, and it is better than the model already
-    assert load_network(tmp_path / "associator.npz", VERSION, INPUTS).first.shape[1] == len(shipped.inputs)
+    assert load_network(tmp_path / "associator.npz").first.shape[1] == len(shipped.inputs)
 
 
 def test_figures_are_held_against_the_card():

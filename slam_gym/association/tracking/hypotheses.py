@@ -61,6 +61,7 @@ class ScanProblem(NamedTuple):
     starts: IntArray  # (l + 1,) index of each measurement's first pairing, not counting fixed ones
     levels: IntArray  # (l, 2) first and end index of the pairings of each measurement with any, in order of decision
     rows: IntArray  # (u,) row of the prediction of each slot
+    tests: int  # pairings tested for individual compatibility
     visible: Array  # (k,) probability of being in view from the predicted pose; (0,): unknown
     detection: float  # P_D
     density: float  # [1/m²] λ of measurements of nothing in the map

@@ -91,7 +91,7 @@ def _decide(
         if search == 0 or len(offered.pairings.slots) > offered.pairings.fixed:
             levels = levels_of(offered.pairings, offered.starts, limits.gate)
             problem = ScanProblem(
-                part, offered.pairings, offered.starts, levels, offered.rows, visible, detection, density
+                part, offered.pairings, offered.starts, levels, offered.rows, offered.tests, visible, detection, density
             )
             searched = search_tree(problem, np.empty(0), affordable(limits.width, [problem]), limits.margin)
             limit_hit = spent.limit_hit or searched.cut or bool((np.diff(offered.starts) >= limits.most).any())

@@ -55,7 +55,7 @@ from slam_gym.association.tracking.hypotheses import (
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
 from slam_gym.association.tracking.network import NO_NETWORK, Network, inputs_of, log_odds
 from slam_gym.association.tree import Pairings
-from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, Posterior, Scan, ScanArrays
+from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, IntArray, Posterior, Scan, ScanArrays
 
 DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
 """Candidate values of P_D, weighted by their posterior."""
@@ -171,13 +171,8 @@ class HeadingCandidates(NamedTuple):
     bound: float  # of the score of a hypothesis
 
 
-class HeadingSearch(NamedTuple):
-    """A narrow heading, prepared for a search."""
-
-    problem: ScanProblem
-    tests: int  # pairings tested for individual compatibility
-    odds: Array  # (c,) learned log odds of each pairing; (0,): none
-    margin: float  # by which a hypothesis may score less than the best
+HeadingSearch = tuple[ScanProblem, Array, float]
+"""The problem of a narrow heading; learned log odds (c,) of its pairings, or (0,); and the margin of its search."""
 
 
 @compiled
@@ -264,8 +259,10 @@ def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected,
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
     )
     levels = levels_of(pairings, candidates.starts, gate)
-    starts, rows = candidates.starts, candidates.rows
-    return ScanProblem(part, pairings, starts, levels, rows, visible, heading.detection, heading.density)
+    return ScanProblem(
+        part, pairings, candidates.starts, levels, candidates.rows, candidates.tests, visible, heading.detection,
+        heading.density,
+    )  # fmt: skip
 
 
 @compiled
@@ -296,7 +293,7 @@ def _promising(
         if len(network.centre) > 0:
             inputs = inputs_of(scan, problem, expected, prior.run)
             odds = log_odds(network, inputs, heading.candidates.measured, heading.candidates.slots)
-        trials.append(HeadingSearch(problem, heading.candidates.tests, odds, margin))
+        trials.append((problem, odds, margin))
         if len(headings) == 1:
             return trials
         searched = search_tree(problem, odds, min(_TRIAL_WIDTH, limits.width), margin)
@@ -307,8 +304,8 @@ def _promising(
     chosen: list[HeadingSearch] = []
     for k in range(len(trials)):
         if score[k] > best - margin and behind[k] < margin:
-            search = trials[k]
-            chosen.append(HeadingSearch(search.problem, search.tests, search.odds, margin - max(behind[k], 0.0)))
+            problem, odds, _ = trials[k]
+            chosen.append((problem, odds, margin - max(behind[k], 0.0)))
     if len(chosen) == 0:  # a score ignores measurements without a candidate
         chosen.append(trials[np.argmin(behind)])
     return chosen
@@ -333,17 +330,51 @@ def search_all(
     """The hypotheses of all chosen headings."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
     results: list[SearchResult] = []
-    width = affordable(limits.width, [search.problem for search in searches])
-    for search in searches:
-        result = search_tree(search.problem, search.odds, width, search.margin)
+    width = affordable(limits.width, [problem for problem, _, _ in searches])
+    for problem, odds, margin in searches:
+        result = search_tree(problem, odds, width, margin)
         results.append(result)
-        nodes, tests, joint_tests = nodes + result.nodes, tests + search.tests, joint_tests + result.tests
+        nodes, tests, joint_tests = nodes + result.nodes, tests + problem.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)
     rows, fit, view_terms, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(prior.values))), 0
-    for search, result in zip(searches, results):
+    for (problem, _, _), result in zip(searches, results):
         last = b + len(result.fit)
         rows[b:last] = result.rows
-        view_terms[b:last] = weighed_by_view(expected, search.problem, result.beam, prior.values, SAME_VIEW)
-        fit[b:last] = search.problem.part.log_weight + result.fit + prices[result.unpaired]
+        view_terms[b:last] = weighed_by_view(expected, problem, result.beam, prior.values, SAME_VIEW)
+        fit[b:last] = problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
     return Hypotheses(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))
+
+
+class Example(NamedTuple):
+    """A training example of the network: the search of one narrow heading without learned odds."""
+
+    inputs: Array  # (c, inputs) of each pairing
+    measured: IntArray  # (c,) its measurement
+    rows: IntArray  # (c,) its row of the prediction
+    hypotheses: IntArray  # (b, m) row that each hypothesis pairs with each measurement, or UNPAIRED
+    log_densities: Array  # (b,)
+
+
+def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
+    """The search of each narrow heading. Raises ValueError as `individual`."""
+    prior, limits = prior_of(prediction.experience), limits_of(scan, prediction, width, margin)
+    return _examples(scan.arrays, prediction.arrays, prior, limits)
+
+
+@compiled
+def _examples(
+    scan: ScanArrays, prediction: PredictionArrays, prior_arrays: PriorArrays, limit_fields: LimitFields
+) -> list[Example]:
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    prior, limits = Prior(*prior_arrays), Limits(*limit_fields)
+    m, area = len(scan[0]), scan_area(scan[0])
+    prices = prices_of(prior, area, m)
+    out: list[Example] = []
+    for heading in headings_of(scan, expected, prior, area, limits, True):
+        candidates, problem = heading.candidates, problem_of(heading, scan, expected, limits.gate)
+        kept = search_all([(problem, np.empty(0), limits.margin)], m, expected, prior, limits, prices)
+        scores = weighed(kept, prior.detections, len(expected.features)).scores
+        inputs, rows = inputs_of(scan, problem, expected, prior.run), candidates.rows[candidates.slots]
+        out.append(Example(inputs, candidates.measured, rows, kept.rows, scores))
+    return out

@@ -18,10 +18,12 @@ again.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected
@@ -82,26 +84,22 @@ class Network(NamedTuple):
 NO_NETWORK = Network(*(np.empty(shape) for shape in (0, 0, 0, 0, (0, 0), 0, (0, 0), 0, 0)))
 """The network that adds no odds."""
 
+SHAPES = {
+    "centre": (len(INPUTS),), "scale": (len(INPUTS),), "linear": (len(INPUTS),), "offset": (1,),
+    "first": (-1, len(INPUTS)), "first_offset": (-1,), "second": (-1, -1), "second_offset": (-1,), "last": (-1,),
+}  # fmt: skip
+"""The arrays of weights; −1 stands for any length."""
+
 
 @cached
-def load_network(weights: str | Path, version: int, inputs: tuple[str, ...]) -> Network:
-    """The network with shipped weights, or those of a `.npz` file, for inputs of that version. Raises ValueError as
-    `slam_gym.weights.load`."""
-    loaded = load(weights, version, inputs, shapes_for(len(inputs)))
-    return network_of({name: np.asarray(array) for name, array in loaded.arrays.items()})
+def load_network(weights: str | Path) -> Network:
+    """The network with shipped weights, or those of a `.npz` file. Raises ValueError as `slam_gym.weights.load` and
+    `network_of`."""
+    return network_of(load(weights, VERSION, INPUTS, SHAPES).arrays)
 
 
-def shapes_for(inputs: int) -> dict[str, tuple[int, ...]]:
-    """The shape of each array, where −1 stands for the number of hidden units or three times that."""
-    n, h = inputs, -1
-    return {
-        "centre": (n,), "scale": (n,), "linear": (n,), "offset": (1,), "first": (h, n), "first_offset": (h,),
-        "second": (h, h), "second_offset": (h,), "last": (h,),
-    }  # fmt: skip
-
-
-def network_of(arrays: dict[str, Array]) -> Network:
-    """The network of arrays of those shapes. Raises ValueError where their numbers of hidden units differ."""
+def network_of(arrays: Mapping[str, NDArray[Any]]) -> Network:
+    """The network of arrays by name. Raises ValueError where their numbers of hidden units differ."""
     network = Network(**{name: np.array(arrays[name], np.float64, order="C") for name in Network._fields})
     h = len(network.last)
     if not len(network.first) == len(network.first_offset) == len(network.second) == len(network.second_offset) == h:

@@ -10,18 +10,9 @@ from slam_gym import Slam, learned_associator, marginal
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking import ppo as ppo_weights
-from slam_gym.association.tracking.learned import WEIGHTS, examples
-from slam_gym.association.tracking.marginal import weigh
-from slam_gym.association.tracking.network import (
-    FARTHEST,
-    INPUTS,
-    VERSION,
-    Network,
-    load_network,
-    log_odds,
-    network_of,
-    shapes_for,
-)
+from slam_gym.association.tracking.learned import WEIGHTS
+from slam_gym.association.tracking.marginal import examples, weigh
+from slam_gym.association.tracking.network import FARTHEST, INPUTS, SHAPES, Network, load_network, log_odds, network_of
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from slam_gym.weights import load, write
 from tests.oracles import association as oracles
@@ -68,7 +59,7 @@ def test_sizes_tell_apart_what_places_do_not():
 @for_seeds(10)
 def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(seed):
     scan, prediction = problem(seed)
-    network, wide = load_network(WEIGHTS, VERSION, INPUTS), {"width": 5000, "margin": 60.0}
+    network, wide = load_network(WEIGHTS), {"width": 5000, "margin": 60.0}
     (example,) = examples(scan, prediction, **wide)
     slots = np.unique(example.rows, return_inverse=True)[1]
     odds = np.zeros((8, 11))
@@ -114,10 +105,10 @@ def test_cost_is_that_of_marginal():
 # --- the network: its loops against the formula, written out with numpy -----------------------------------------------
 
 
-def drawn(rng: np.random.Generator, n: int, h: int) -> dict[str, np.ndarray]:
-    shapes = {name: tuple(h if side == -1 else side for side in shape) for name, shape in shapes_for(n).items()}
+def drawn(rng: np.random.Generator, h: int) -> dict[str, np.ndarray]:
+    shapes = {name: tuple(h if side == -1 else side for side in shape) for name, shape in SHAPES.items()}
     arrays = {name: rng.normal(size=shape) for name, shape in (shapes | {"second": (h, 3 * h)}).items()}
-    return arrays | {"scale": rng.uniform(0.5, 2.0, n)}
+    return arrays | {"scale": rng.uniform(0.5, 2.0, len(INPUTS))}
 
 
 def by_formula(network: Network, inputs, measured, slots):
@@ -132,8 +123,8 @@ def by_formula(network: Network, inputs, measured, slots):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_loops_are_the_formula(seed):
     rng = np.random.default_rng(seed)
-    network = network_of(drawn(rng, 7, 5))
-    inputs, measured, slots = 3.0 * rng.normal(size=(20, 7)), rng.integers(0, 6, 20), rng.integers(0, 9, 20)
+    network = network_of(drawn(rng, 5))
+    inputs, measured, slots = 3.0 * rng.normal(size=(20, len(INPUTS))), rng.integers(0, 6, 20), rng.integers(0, 9, 20)
     expected = by_formula(network, inputs, measured, slots)
     np.testing.assert_allclose(log_odds(network, inputs, measured, slots), expected, atol=1e-9)
 
@@ -150,11 +141,11 @@ def test_weights_that_are_written_again_are_read_again(tmp_path):
 
 
 def test_weights_that_do_not_fit_each_other_are_refused():
-    arrays = drawn(np.random.default_rng(0), 4, 3)
+    arrays = drawn(np.random.default_rng(0), 3)
     for name, array, message in (
         ("second", np.zeros((3, 8)), "second: 8 columns, expected 9"),
         ("last", np.zeros(2), "not 2 hidden units everywhere"),
-        ("scale", np.zeros(4), "scale: not positive"),
+        ("scale", np.zeros(len(INPUTS)), "scale: not positive"),
     ):
         with pytest.raises(ValueError, match=message):
             network_of(arrays | {name: array})
