@@ -98,8 +98,7 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
 
 @dataclass(frozen=True, slots=True)
 class _ReadOnlyScan:
-    """A user's associator, called with a scan whose arrays are read-only. Raises ValueError for another result than a
-    Hypothesis."""
+    """A user's associator, called with a scan whose arrays are read-only, and checked to return a Hypothesis."""
 
     associate: Associator
 

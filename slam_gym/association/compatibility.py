@@ -19,7 +19,8 @@ from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import Array, BoolArray, IntArray, Scan
 
-_EVERY_ROW = np.empty(0, np.bool_)
+Gaussians = tuple[Array, Array]
+"""Positions (n, 2) [m] and covariances (n, 2, 2) [m²] in R, of measurements or of predicted features."""
 
 
 class Candidates(NamedTuple):
@@ -72,26 +73,19 @@ def individual(
     if measurements is None:
         measurements = np.arange(len(scan.points))
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
-    (points, noise, *_), (positions, covariances, _) = scan.arrays, prediction.points
-    most = len(positions)  # of a measurement: no limit
-    return gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
+    every_row = np.empty(0, np.bool_)
+    return gate_pairings(scan.arrays[:2], prediction.points[:2], measurements, every_row, gate, len(prediction))
 
 
 @compiled
 def gate_pairings(
-    points: Array,
-    noise: Array,
-    positions: Array,
-    covariances: Array,
-    measurements: IntArray,
-    eligible: BoolArray,
-    gate: float,
-    most: int,
+    measured: Gaussians, expected: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float, most: int
 ) -> Candidates:
-    """`individual` for eligible rows (all, where `eligible` is empty), with the `most` nearest of each measurement."""
-    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    """`individual` for eligible rows (k,), or all if (0,), with the `most` nearest of each measurement."""
+    (points, noise), (positions, covariances) = measured, expected
+    offered = _offered(measured, expected, measurements, eligible, gate)
     count, capacity = 0, len(measurements) * len(offered)
-    starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
+    starts, paired = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
     slots, distances, innovations = np.empty(capacity, np.int64), np.empty(capacity), np.empty((capacity, 2))
     for level in range(len(measurements)):
         i = measurements[level]
@@ -118,30 +112,31 @@ def gate_pairings(
                 slots[place], distances[place] = slots[place - 1], distances[place - 1]
                 innovations[place, 0], innovations[place, 1] = innovations[place - 1, 0], innovations[place - 1, 1]
                 place -= 1
-            measured[count], slots[place], distances[place] = i, o, distance
+            paired[count], slots[place], distances[place] = i, o, distance
             innovations[place, 0], innovations[place, 1] = x, y
             count += 1
         starts[level + 1] = count
-    rows = offered[_number_distinct(slots[:count], len(offered))]
+    rows, number, distinct = np.empty(len(offered), np.int64), np.full(len(offered), -1), 0
+    for c in range(count):
+        number[slots[c]] = 0
+    for o in range(len(offered)):
+        if number[o] == 0:
+            rows[distinct], number[o] = offered[o], distinct
+            distinct += 1
+    for c in range(count):
+        slots[c] = number[slots[c]]
     return Candidates(
-        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, capacity
-    )
+        measurements, starts, paired[:count], slots[:count], distances[:count], innovations[:count], rows[:distinct],
+        capacity,
+    )  # fmt: skip
 
 
 @compiled
 def _offered(
-    points: Array,
-    noise: Array,
-    positions: Array,
-    covariances: Array,
-    measurements: IntArray,
-    eligible: BoolArray,
-    gate: float,
+    measured: Gaussians, expected: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float
 ) -> IntArray:
-    """The eligible rows whose gate reaches into the bounding box of the measurements; no other row is compatible.
-
-    Raises ValueError for the first invalid number of a measurement or feature, even of one that is not considered.
-    """
+    """The eligible rows whose gate reaches into the bounding box of the measurements; checks all numbers."""
+    (points, noise), (positions, covariances) = measured, expected
     for i in range(len(points)):
         if not math.isfinite(points[i, 0] + points[i, 1]):
             raise ValueError(f"scan.points[{i}] is not finite")
@@ -168,19 +163,3 @@ def _offered(
             offered[count] = j
             count += 1
     return offered[:count]
-
-
-@compiled
-def _number_distinct(values: IntArray, bound: int) -> IntArray:
-    """The distinct values (all in 0 … bound − 1), ascending; each value is replaced by its index among them."""
-    number, count = np.zeros(bound, np.int64), 0
-    for value in values:
-        number[value] = 1
-    distinct = np.empty(min(bound, len(values)), np.int64)
-    for value in range(bound):
-        if number[value] == 1:
-            distinct[count], number[value] = value, count
-            count += 1
-    for i in range(len(values)):
-        values[i] = number[values[i]]
-    return distinct[:count]

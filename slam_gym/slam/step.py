@@ -117,6 +117,6 @@ def fit_nothing(
 ) -> None:
     """Enter in `new` (m,) the unpaired measurements compatible with nothing. Raises ValueError where S is singular."""
     unpaired, every_row = np.flatnonzero(features == UNPAIRED), np.empty(0, np.bool_)
-    candidates = gate_pairings(points, noise, expected[0], expected[1], unpaired, every_row, gate, 1)
+    candidates = gate_pairings((points, noise), expected, unpaired, every_row, gate, 1)
     new[:] = False
     new[unpaired] = candidates.starts[1:] == candidates.starts[:-1]

@@ -9,9 +9,6 @@ that the detector reports a feature in view, and v_j the probability that featur
 hypothesis itself implies. Where visibility is unknown, nothing is concluded from features that were not seen: the
 factors are P_D for paired and 1 for other features.
 
-The normalised densities of all hypotheses (`weighed`) yield the marginal probability of every pairing, as in joint
-probabilistic data association: the sum of the weights of the hypotheses that make it.
-
 Where the robot is nearly lost, everything is compatible with everything. The work for a scan is therefore bounded: only
 the nearest candidates of each measurement are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS`
 and `MEMORY` allow. `effort.limit_hit` is set where a bound may have excluded anything. A measurement that may have lost
@@ -31,9 +28,9 @@ from slam_gym.association.prediction import Expected, Prediction, visibility
 from slam_gym.association.tracking.beam import Beam, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
-from slam_gym.association.tracking.near_first import Spent
 from slam_gym.association.tree import Node, Pairings, condition, is_local, pivot_of, read, root_of, squared
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
+from slam_gym.validation import check_count
 
 UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
 SAME_VIEW = 0.1  # [m] hypotheses that differ by less share their visibilities
@@ -79,18 +76,10 @@ class SearchResult(NamedTuple):
     cut: bool  # whether the beam was full
 
 
-class Hypotheses(NamedTuple):
-    """The hypotheses of one or several searches."""
-
-    rows: IntArray  # (b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED
-    fit: Array  # (b,) log density without the visibility terms
-    view_terms: Array  # (b, d) the visibility terms, for each P_D
-    spent: Spent
-
-
 class Weighed(NamedTuple):
-    """Sums over all hypotheses."""
+    """The hypotheses of one or several searches, and sums over all of them."""
 
+    hypotheses: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
     scores: Array  # (b,) log densities, summed over P_D
     weights: Array  # (b,) normalised densities
     by_value: Array  # (d,) log weights of the values of P_D
@@ -101,17 +90,14 @@ class Weighed(NamedTuple):
 PosteriorFields = tuple[float, float, IntArray, float, Array, Array]
 """The fields of `Posterior`, as compiled code returns them."""
 
-
 LimitFields = tuple[float, int, float, int]
 """The fields of `Limits`, as compiled code takes them."""
 
 
 def limits_of(scan: Scan, prediction: Prediction, width: int, margin: float) -> LimitFields:
-    """The fields of `Limits`. The confidence of the candidates' gate is ten times as close to 1 as that of the
-    prediction, 0.999 for 0.99, since improbable pairings have a low density anyway. Raises ValueError for bounds out of
-    range."""
-    if width < 1:
-        raise ValueError(f"width: {width} is less than 1")
+    """The fields of `Limits`. The confidence of the gate is ten times as close to 1 as that of the prediction, 0.999
+    for 0.99, since improbable pairings have a low density anyway. Raises ValueError for bounds out of range."""
+    check_count("width", width)
     if not margin > 0.0:
         raise ValueError(f"margin: {margin} is not positive")
     most = max(MOST_CANDIDATES // max(len(scan), 1), 1)
@@ -194,20 +180,15 @@ def _support(pairings: Pairings, root: Node, anchor: int, gate: float) -> int:
 
 @compiled
 def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
-    """Group hypotheses that imply the same view: the group (b,) of each hypothesis; the visibility (groups, q) of the
-    features of the tree and of others for each group, (0, 0) where unknown; and the columns of the features of the tree
-    (u,) by slot.
-
-    Hypotheses share a view where they place every feature within `together` [m] of each other. All share one where the
-    features are predicted that precisely, or where visibility does not depend on the pose.
-    """
+    """Hypotheses grouped by the view that they imply: the group (b,) of each; the visibility (groups, q) of features in
+    each group, (0, 0) where unknown; and the columns (u,) of those of the tree."""
     part, rows, visible = problem.part, problem.rows, problem.visible
     group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
     if len(visible) == 0:
         return group, np.empty((0, 0)), rows
     for j in rows:
         narrow &= max(part.covariances[j, 0, 0], part.covariances[j, 1, 1]) < together * together
-    if len(expected.visible) > 0 or not expected.view_moves or narrow:
+    if len(expected.visible) > 0 or not expected.view_moves or narrow:  # all share one view
         return group, visible.copy().reshape(1, -1), rows
     possible = visible > _INVISIBLE
     possible[rows] = False
@@ -236,9 +217,8 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
     for d in range(len(detections)):
         P = detections[d]
         log_P = math.log(P)
-        if groups == 0:
-            for b in range(len(made)):
-                out[b, d] = 0.0 + pairings[b] * log_P
+        for b in range(len(made)):
+            out[b, d] = pairings[b] * log_P
         for g in range(groups):
             none_seen = 0.0
             for j in range(features):
@@ -247,7 +227,7 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
             for b in range(len(made)):
                 if group[b] != g:
                     continue
-                out[b, d] = none_seen + pairings[b] * log_P
+                out[b, d] += none_seen
                 for q in range(pairings[b]):
                     s = slots[made[b, q]]
                     out[b, d] += paired[g, s] - missed[columns[s]]
@@ -256,8 +236,7 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
 
 @compiled
 def _grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
-    """Write the `group` of each hypothesis, by its feature positions (b, k, 2). Returns the first hypothesis of each
-    group, in order."""
+    """Write the `group` of each hypothesis, by its feature positions (b, k, 2); return the first one of each group."""
     first, count = np.empty(len(positions), np.int64), 0
     for b in order:
         group[b] = -1
@@ -278,14 +257,15 @@ def _grouped(positions: Array, order: IntArray, together: float, group: IntArray
 
 
 @compiled
-def weighed(kept: Hypotheses, prior: Array, features: int) -> Weighed:
-    """The probability of every pairing, over all hypotheses and all values of P_D with log weights `prior` (d,)."""
-    hypotheses, (count, values) = kept.rows, kept.view_terms.shape
+def weighed(hypotheses: IntArray, fit: Array, view_terms: Array, prior: Array, features: int) -> Weighed:
+    """The probability of every pairing, over all `hypotheses` (b, m) and all values of P_D with log weights `prior`
+    (d,), by log densities `fit` (b,) and their visibility terms (b, d)."""
+    count, values = view_terms.shape
     scores, by_value = np.empty(count), np.full(values, -math.inf)
     for b in range(count):
         scores[b] = -math.inf
         for d in range(values):
-            density = kept.fit[b] + kept.view_terms[b, d] + prior[d]
+            density = fit[b] + view_terms[b, d] + prior[d]
             scores[b], by_value[d] = np.logaddexp(scores[b], density), np.logaddexp(by_value[d], density)
     weights = np.exp(scores - scores.max())
     weights /= weights.sum()
@@ -296,17 +276,17 @@ def weighed(kept: Hypotheses, prior: Array, features: int) -> Weighed:
                 unpaired[i] += weights[b]
             else:
                 pairings[i, hypotheses[b, i]] += weights[b]
-    return Weighed(scores, weights, by_value - by_value.max(), pairings, unpaired)
+    return Weighed(hypotheses, scores, weights, by_value - by_value.max(), pairings, unpaired)
 
 
 @compiled
-def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> PosteriorFields:
-    """Posterior of the decision `rows` (m,), and of the most probable other decision among `hypotheses` (b, m).
+def posterior_of(expected: Expected, sums: Weighed, rows: IntArray) -> PosteriorFields:
+    """Posterior of the decision `rows` (m,), and of the most probable other decision among the hypotheses.
 
     Hypotheses of several headings may make the same decision. Their weights are added to the first of them; the
     decision itself comes first of all.
     """
-    decisions = np.concatenate((rows.copy().reshape(1, -1), hypotheses))
+    decisions = np.concatenate((rows.copy().reshape(1, -1), sums.hypotheses))
     keys, weights = np.zeros(len(decisions), np.int64), np.zeros(len(decisions))
     for b in range(len(decisions)):
         for row in decisions[b]:
@@ -340,8 +320,7 @@ def scan_area(points: Array) -> float:
         return 0.0
     left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
     farthest = 0.0  # squared
-    for i in range(len(points)):
-        x, y = points[i]
+    for x, y in points:
         left, right, bottom, top = min(left, x), max(right, x), min(bottom, y), max(top, y)
         farthest = max(farthest, x * x + y * y)
     return float(max((right - left) * (top - bottom), farthest, _MIN_AREA))

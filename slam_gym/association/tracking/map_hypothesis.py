@@ -15,7 +15,6 @@ from slam_gym.association.tracking.beam import Beam
 from slam_gym.association.tracking.headings import Part
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
-    Hypotheses,
     LimitFields,
     Limits,
     PosteriorFields,
@@ -72,10 +71,7 @@ def map_hypothesis(
 
 @compiled
 def _decide(
-    scan: ScanArrays,
-    prediction: PredictionArrays,
-    rates: tuple[float, float],
-    limit_fields: LimitFields,
+    scan: ScanArrays, prediction: PredictionArrays, rates: tuple[float, float], limit_fields: LimitFields
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     (detection, density), limits, m = rates, Limits(*limit_fields), len(scan[0])
@@ -98,10 +94,10 @@ def _decide(
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
             fit = searched.fit + math.log(density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
-            sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
+            sums = weighed(searched.rows, fit, view_terms, np.zeros(1), len(expected.features))
             fixed = rows != UNPAIRED
             rows[:] = searched.rows[np.argmax(sums.scores)]
-            posterior = _joint_posterior(posterior, posterior_of(expected, searched.rows, sums, rows), fixed)
+            posterior = _joint_posterior(posterior, posterior_of(expected, sums, rows), fixed)
         if not (rows == UNPAIRED).any():
             break
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent), posterior

@@ -37,12 +37,12 @@ from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
-    Hypotheses,
     LimitFields,
     Limits,
     PosteriorFields,
     ScanProblem,
     SearchResult,
+    Weighed,
     affordable,
     levels_of,
     limits_of,
@@ -184,8 +184,7 @@ def _decide(
     limit_fields: LimitFields,
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
 ) -> tuple[Decided, Marginals, PosteriorFields]:
-    """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
-    feature, and the number of sightings from which a feature is no longer provisional."""
+    """`rule`: the threshold of p, that for provisional features, and the sightings that confirm a feature."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     prior, limits, network = Prior(*prior_arrays), Limits(*limit_fields), Network(*network_arrays)
     threshold, provisional, confirmations = rule
@@ -193,21 +192,19 @@ def _decide(
     rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
     headings = headings_of(scan, expected, prior, area, limits, len(network.centre) > 0)
     searches = _promising(headings, scan, expected, prior, limits, prices, network)
-    kept = search_all(searches, m, expected, prior, limits, prices)
+    sums, spent = search_all(searches, m, expected, prior, limits, prices)
     crowded = np.zeros(m, np.bool_)  # measurements with so many candidates that some may have been dropped
     for heading in headings:
         crowded |= np.diff(heading.candidates.starts) >= limits.most
-    sums = weighed(kept, prior.detections, len(expected.features))
     for i in range(m):
         for j in range(len(expected.features)):
             if sums.pairings[i, j] > (threshold if expected.sightings[j] >= confirmations else provisional):
                 rows[i] = j
         new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold and not crowded[i]
-    nodes, individual_tests, joint_tests, cut = kept.spent
-    spent = Spent(nodes, individual_tests, joint_tests, cut or bool(crowded.any()))
-    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
+    spent = Spent(spent.nodes, spent.individual_tests, spent.joint_tests, spent.limit_hit or bool(crowded.any()))
     marginals = Marginals(sums.pairings, sums.unpaired, new, sums.by_value, area)
-    return answer, marginals, posterior_of(expected, kept.rows, sums, rows)
+    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
+    return answer, marginals, posterior_of(expected, sums, rows)
 
 
 @compiled
@@ -233,10 +230,8 @@ def headings_of(
     detection = (odds * prior.values).sum() / odds.sum()
     headings: list[HeadingCandidates] = []
     for part in parts_of(expected):
-        candidates = gate_pairings(
-            points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_),
-            limits.gate, limits.most,
-        )  # fmt: skip
+        features, every_row = (part.positions, part.covariances), np.empty(0, np.bool_)
+        candidates = gate_pairings(scan[:2], features, np.arange(len(points)), every_row, limits.gate, limits.most)
         unmatched = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
         density, bound = (prior.unpaired + unmatched) / (prior.area + area), math.inf
         if not learned:  # each measurement takes its best choice, in view and without error
@@ -275,12 +270,9 @@ def _promising(
     prices: Array,
     network: Network,
 ) -> list[HeadingSearch]:
-    """The headings in which a trial search finds a hypothesis within the margin of the best; at least one.
-
-    `score` is the best log score of each trial, which ignores measurements without a candidate. `behind` is by how much
-    its best log density falls short of that of the best heading, less `_DOUBT`.
-    """
+    """The headings in which a trial search finds a hypothesis within the margin of the best; at least one."""
     best, margin = -math.inf, limits.margin
+    # behind: by how much the best log density of a trial falls short of that of the best trial, less `_DOUBT`
     order, score, behind = np.empty(len(headings)), np.empty(len(headings)), np.empty(len(headings))
     trials: list[HeadingSearch] = []
     for k in range(len(headings)):
@@ -326,8 +318,8 @@ def _greatest_density(searched: SearchResult, heading: HeadingCandidates, prices
 @compiled
 def search_all(
     searches: list[HeadingSearch], m: int, expected: Expected, prior: Prior, limits: Limits, prices: Array
-) -> Hypotheses:
-    """The hypotheses of all chosen headings."""
+) -> tuple[Weighed, Spent]:
+    """The hypotheses of all chosen headings, and the work done."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
     results: list[SearchResult] = []
     width = affordable(limits.width, [problem for problem, _, _ in searches])
@@ -343,7 +335,8 @@ def search_all(
         view_terms[b:last] = weighed_by_view(expected, problem, result.beam, prior.values, SAME_VIEW)
         fit[b:last] = problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
-    return Hypotheses(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))
+    sums = weighed(rows, fit, view_terms, prior.detections, len(expected.features))
+    return sums, Spent(nodes, tests, joint_tests, cut)
 
 
 class Example(NamedTuple):
@@ -373,8 +366,7 @@ def _examples(
     out: list[Example] = []
     for heading in headings_of(scan, expected, prior, area, limits, True):
         candidates, problem = heading.candidates, problem_of(heading, scan, expected, limits.gate)
-        kept = search_all([(problem, np.empty(0), limits.margin)], m, expected, prior, limits, prices)
-        scores = weighed(kept, prior.detections, len(expected.features)).scores
+        sums, _ = search_all([(problem, np.empty(0), limits.margin)], m, expected, prior, limits, prices)
         inputs, rows = inputs_of(scan, problem, expected, prior.run), candidates.rows[candidates.slots]
-        out.append(Example(inputs, candidates.measured, rows, kept.rows, scores))
+        out.append(Example(inputs, candidates.measured, rows, sums.hypotheses, sums.scores))
     return out

@@ -63,9 +63,8 @@ def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: 
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
         eligible = eligible[:0]  # all of them
-    candidates = gate_pairings(
-        points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate, most
-    )
+    unpaired, features = np.flatnonzero(rows == UNPAIRED), (expected.positions, expected.covariances)
+    candidates = gate_pairings((points, noise), features, unpaired, eligible, gate, most)
     paired = np.flatnonzero(rows != UNPAIRED)
     fixed = rows[paired]
     offered = np.concatenate((fixed, candidates.rows))
@@ -130,20 +129,14 @@ def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntA
 
     Raises ValueError as `individual`.
     """
-    rows, effort = np.full(len(scan), UNPAIRED), Effort()
-    gate = chi2_gate(2, prediction.confidence)
+    rows, efforts, gate = np.full(len(scan), UNPAIRED), [Effort()], chi2_gate(2, prediction.confidence)
     for near in (True, False):
         offered = offer(scan.arrays, prediction.arrays, rows, near, gate, len(prediction))
-        effort = _combined(effort, Effort(individual_tests=offered.tests))
+        efforts.append(Effort(individual_tests=offered.tests))
         if len(offered.pairings.slots) > offered.pairings.fixed:
-            effort = _combined(effort, search(offered, rows))
+            efforts.append(search(offered, rows))
         if not prediction.has_localities or prediction.near.all() or not (rows == UNPAIRED).any():
             break
-    decision = answer(scan.arrays, prediction.arrays, rows, Spent(0, 0, 0, False))
-    return replace(decision.hypothesis(), effort=effort)
-
-
-def _combined(first: Effort, second: Effort) -> Effort:
-    """The combined effort of two searches: counts and times add up."""
-    counts = {name: getattr(first, name) + getattr(second, name) for name in Effort.__slots__}
-    return Effort(**counts | {"limit_hit": first.limit_hit or second.limit_hit})
+    counts = {name: sum(getattr(effort, name) for effort in efforts) for name in Effort.__slots__}
+    total = Effort(**counts | {"limit_hit": any(effort.limit_hit for effort in efforts)})
+    return replace(answer(scan.arrays, prediction.arrays, rows, Spent(0, 0, 0, False)).hypothesis(), effort=total)

@@ -50,15 +50,13 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 
     def search(offer: Offer, rows: IntArray) -> Effort:
         pairings, fixed = offer.pairings, offer.pairings.fixed
-        measured, level = np.unique(pairings.measured[fixed:], return_inverse=True)
-        features, columns = offer.rows[pairings.slots[fixed:]], len(offer.rows)
-        S = prediction.covariances[features] + scan.covariances[pairings.measured[fixed:]]
+        slots, each, nu = pairings.slots[fixed:], pairings.measured[fixed:], pairings.innovations[fixed:]
+        (measured, level), columns = np.unique(each, return_inverse=True), len(offer.rows)
+        S = prediction.covariances[offer.rows[slots]] + scan.covariances[each]
         size = np.log(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
-        distances = np.einsum(
-            "ci,cij,cj->c", pairings.innovations[fixed:], np.linalg.inv(S), pairings.innovations[fixed:]
-        )
+        distances = np.einsum("ci,cij,cj->c", nu, np.linalg.inv(S), nu)
         costs = np.full((len(measured), columns + len(measured)), _FORBIDDEN)
-        costs[level, pairings.slots[fixed:]] = distances + size
+        costs[level, slots] = distances + size
         largest = np.full(len(measured), -np.inf)
         np.maximum.at(largest, level, size)
         costs[np.arange(len(measured)), columns + np.arange(len(measured))] = gate + largest
@@ -72,15 +70,11 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual: bool) -> Decided:
-    """Pair each measurement with its nearest candidate; with `mutual`, only with its single candidate, if no other
-    measurement has the same."""
+    """Pair each measurement with its nearest candidate; if `mutual`, only where each is the other's only candidate."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    m = len(scan[0])
-    rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
-    candidates = gate_pairings(
-        scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate,
-        len(expected.features),
-    )  # fmt: skip
+    m, k, every_row = len(scan[0]), len(expected.features), expected.near[:0]
+    rows, features = np.full(m, UNPAIRED), (expected.positions, expected.covariances)
+    candidates = gate_pairings(scan[:2], features, np.arange(m), every_row, gate, k)
     starts, slots = candidates.starts, candidates.slots
     claims = np.zeros(len(candidates.rows), np.int64)
     for slot in slots:
@@ -90,5 +84,4 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual:
             continue
         if not mutual or (starts[i] + 1 == starts[i + 1] and claims[slots[starts[i]]] == 1):
             rows[i] = candidates.rows[slots[starts[i]]]
-    distance = joint_distance_of(scan, expected, rows)
-    return decided(expected, rows, distance, Spent(m, candidates.tests, 0, False))
+    return decided(expected, rows, joint_distance_of(scan, expected, rows), Spent(m, candidates.tests, 0, False))

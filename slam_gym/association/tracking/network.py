@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected
-from slam_gym.association.tracking.headings import Part
 from slam_gym.association.tracking.hypotheses import ScanProblem
 from slam_gym.association.tree import Pairings, innovation_of, squared
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, ScanArrays
@@ -164,7 +163,15 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
         by_measurement[pairings.measured[c], 1] += weight[c]
         by_feature[pairings.slots[c], 1] += weight[c]
     measurement_gaps, feature_gaps = _nearest(points), _nearest(part.positions)
-    of_scan = _of_scan(by_measurement, part, visible, run)
+    of_scan, spread, unmatched = np.empty(8), 0.0, 0
+    for i in range(m):
+        unmatched += by_measurement[i, 0] == 0.0
+    for P in part.covariances:
+        spread += 0.5 * math.log(max(P[0, 0] * P[1, 1] - P[0, 1] * P[1, 0], 1e-12)) / len(part.covariances)
+    in_view = visible.sum() if len(visible) > 0 else float(len(part.positions))
+    of_scan[0], of_scan[1], of_scan[2] = math.log1p(m), unmatched / max(m, 1), math.log((1.0 + m) / (1.0 + in_view))
+    of_scan[3], of_scan[4] = 1.0 if len(visible) > 0 else 0.0, math.sqrt(max(part.variance, 0.0))
+    of_scan[5], of_scan[6], of_scan[7] = spread, run[0], run[1]
     for c in range(count):
         i, s = pairings.measured[c], pairings.slots[c]
         j, row = rows[s], out[c]
@@ -200,26 +207,6 @@ def _of_pairing(scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: 
     row[4], row[5] = distance, area
     row[6] = 0.5 * math.log(max(R[0, 0] * R[1, 1] - R[0, 1] * R[1, 0], 1e-12))
     return math.exp(size - 0.5 * min(distance, 50.0) - area)
-
-
-@compiled
-def _of_scan(by_measurement: Array, part: Part, visible: Array, run: tuple[float, float]) -> Array:
-    """The inputs that concern the scan and the run."""
-    m, k, unmatched, expected, spread = len(by_measurement), len(part.positions), 0, 0.0, 0.0
-    for i in range(m):
-        if by_measurement[i, 0] == 0.0:
-            unmatched += 1
-    for j in range(k):
-        P = part.covariances[j]
-        spread += 0.5 * math.log(max(P[0, 0] * P[1, 1] - P[0, 1] * P[1, 0], 1e-12)) / k
-    for j in range(len(visible)):
-        expected += visible[j]
-    out = np.empty(8)
-    out[0], out[1] = math.log1p(m), unmatched / max(m, 1)
-    out[2] = math.log((1.0 + m) / (1.0 + (expected if len(visible) > 0 else k)))
-    out[3] = 1.0 if len(visible) > 0 else 0.0
-    out[4], out[5], out[6], out[7] = math.sqrt(max(part.variance, 0.0)), spread, run[0], run[1]
-    return out
 
 
 @compiled

@@ -12,6 +12,7 @@ from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.near_first import Offer, near_first
 from slam_gym.association.tree import Node, Pairings, add_pairing, is_local, root_of
 from slam_gym.types import Effort, Hypothesis, IntArray, Scan
+from slam_gym.validation import check_count
 
 
 def one_point_ransac(
@@ -30,8 +31,7 @@ def one_point_ransac(
     (`effort.limit_hit`). Gates are individual: no test covers all pairings together. Localities of the prediction are
     used as in `jcbb`. Raises ValueError as `individual`, for fewer tries than one, and for a `success` outside (0, 1).
     """
-    if tries < 1:
-        raise ValueError(f"tries: {tries} is less than 1")
+    check_count("tries", tries)
     if not 0.0 < success < 1.0:
         raise ValueError(f"success: {success} is not between 0 and 1")
     gate, rng = chi2_gate(2, prediction.confidence), np.random.default_rng(seed)
@@ -48,8 +48,7 @@ def one_point_ransac(
 
 @compiled
 def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> tuple[IntArray, int]:
-    """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,). The
-    fixed pairings are kept."""
+    """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,)."""
     first, count, best, best_sum = root_of(pairings), len(order), order[:0], math.inf
     order = order[first.added[order] < gate]  # of old features, some disagree with the pairings that are fixed
     required, drawn = math.inf, 0
@@ -71,8 +70,7 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
 
 @compiled
 def _nearest_first(pairings: Pairings, node: Node, made: IntArray, gate: float) -> IntArray:
-    """Candidates within the gate at a node, which has `made` these pairings after the fixed ones, by ascending
-    distance; each measurement and feature once."""
+    """Candidates within the gate at a node that has `made` pairings, nearest first; each measurement, feature once."""
     slots, measured, local = pairings.slots, pairings.measured, pairings.local
     used_slots, used = np.zeros(slots.max() + 1, np.bool_), np.zeros(measured.max() + 1, np.bool_)
     used_slots[slots[made]], used[measured[made]] = True, True
