@@ -47,11 +47,9 @@ class FeatureIndex:
 
     def __init__(self, landmarks: Landmarks) -> None:
         self.landmarks = landmarks
-        self._mapped = map_arrays(landmarks)._replace(
-            covariances=relative_covariances(landmarks) + _FLOOR * np.eye(2),
-            covariance=np.empty((0, 0)),
-            block_starts=np.empty(0, np.int64),
-        )
+        mapped, no_blocks = map_arrays(landmarks), np.empty(0, np.int64)
+        relative = relative_covariances(mapped) + _FLOOR * np.eye(2)
+        self._mapped = mapped._replace(covariances=relative, covariance=np.empty((0, 0)), block_starts=no_blocks)
         self._hash = _hash_of(self._mapped)
 
     def __len__(self) -> int:
@@ -125,14 +123,13 @@ def indexed(
     )
 
 
-def relative_covariances(landmarks: Landmarks) -> Array:
+def relative_covariances(mapped: Mapped) -> Array:
     """Covariance of each feature relative to its neighbours, (n, 2, 2) [m²].
 
     The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which their common error
     cancels. C_j is defined by D_jl ≈ C_j + C_l, averaged over nearby features l. Without cross-covariances it is P_jj.
-    Raises ValueError as `map_arrays` does.
     """
-    mapped, n = map_arrays(landmarks), len(landmarks)
+    n = len(mapped.positions)
     if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
         return mapped.covariances.copy()
     near: IntArray = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
