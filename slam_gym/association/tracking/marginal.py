@@ -165,7 +165,6 @@ class HeadingCandidates(NamedTuple):
 
     part: Part
     candidates: Candidates
-    unmatched: int  # measurements without a candidate
     detection: float  # P_D
     density: float  # [1/m²] λ
     bound: float  # of the score of a hypothesis
@@ -240,7 +239,7 @@ def headings_of(
                 if candidates.starts[i + 1] > candidates.starts[i]:
                     total += max(unpaired, gain + greatest_log_density(noise[i]))
             bound = part.log_weight + total
-        headings.append(HeadingCandidates(part, candidates, unmatched, detection, density, bound))
+        headings.append(HeadingCandidates(part, candidates, detection, density, bound))
     return headings
 
 
@@ -290,7 +289,7 @@ def _promising(
             return trials
         searched = search_tree(problem, odds, min(_TRIAL_WIDTH, limits.width), margin)
         score[n] = heading.part.log_weight + searched.beam.score.max()
-        behind[n] = -(heading.part.log_weight + _greatest_density(searched, heading, prices, problem.visible))
+        behind[n] = -(heading.part.log_weight + _greatest_density(searched, problem, prices))
         best = max(best, score[n])
     behind = behind[: len(trials)] - behind[: len(trials)].min() - _DOUBT
     chosen: list[HeadingSearch] = []
@@ -304,13 +303,13 @@ def _promising(
 
 
 @compiled
-def _greatest_density(searched: SearchResult, heading: HeadingCandidates, prices: Array, visible: Array) -> float:
+def _greatest_density(searched: SearchResult, problem: ScanProblem, prices: Array) -> float:
     """The greatest log density found by a search, with a single P_D and visibility from the predicted pose."""
-    missed, greatest = 0.0, -math.inf
-    for v in visible:
-        missed += math.log1p(-heading.detection * v)
+    missed, greatest, unmatched = 0.0, -math.inf, len(problem.starts) - 1 - len(problem.levels)
+    for v in problem.visible:
+        missed += math.log1p(-problem.detection * v)
     for b in range(len(searched.fit)):
-        free = math.log(heading.density) * (searched.unpaired[b] - heading.unmatched)
+        free = math.log(problem.density) * (searched.unpaired[b] - unmatched)
         greatest = max(greatest, searched.beam.score[b] - free + prices[searched.unpaired[b]])
     return missed + greatest
 
