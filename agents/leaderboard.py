@@ -64,15 +64,11 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
     from agents.evaluation.pipeline import METADATA, carry_out
     from agents.evaluation.records import command_line
     from agents.ranking.board import ranked, write_entry
-    from agents.ranking.entry_process import EntryError
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
     if entry != CEILING:  # no process runs it, since it uses the truth
-        try:
-            process(role, entry)  # raises for an invalid entry, before anything is written
-        except EntryError as error:
-            raise ValueError(str(error)) from None
+        process(role, entry)  # raises for an invalid entry, before anything is written
     chosen = Protocol(role, quick)
     stem = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execution.output or board / "runs" / stem
@@ -108,6 +104,3 @@ def with_tables(page: str, tables: str) -> str:
 
 
 app = command(main, "slam-gym leaderboard --entry jcbb --quick")
-
-if __name__ == "__main__":
-    app()

@@ -5,6 +5,7 @@ A game has a keyboard, a window, and a world to drive in.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -139,15 +140,13 @@ class Game:
             env.close()
         return self.rivals[world]
 
-    def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
-        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
+    def state(self, episode: Any) -> str:
+        """A line about the present state."""
         associator = self.associators[0] if self.associators else "true_association"
-        relocation = "on" if self.relocating else "off"
-        state = (
+        return (
             f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
-            f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
+            f"coverage {episode.coverage():.0%}   {associator}   relocation {'on' if self.relocating else 'off'}"
         )
-        return [state, *([verdict] if verdict else []), KEYS]
 
 
 def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: int | None = None) -> str:
@@ -156,14 +155,14 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
     from agents.evaluation.episodes import begin_episode
 
     observation, info = begin_episode(env, game.agent, world)
-    count, ended, verdict = 0, False, ""
-    while True:
+    ended, verdict = False, list[str]()
+    for count in itertools.count():
         picture: Any = env.render()
-        show(window, picture, game.lines(env, verdict))
+        show(window, picture, [game.state(env.unwrapped.episode), *verdict, KEYS])  # type: ignore[attr-defined]
         if count == 0 and not window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
         if count == steps:
-            return "quit"
+            break
         wish = game.controls.poll()
         if wish == "associator":
             game.associators.rotate(-1)
@@ -171,12 +170,12 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
             game.relocating = not game.relocating
         elif wish is not None:
             return wish
-        count += 1
         if not ended:
             observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
             if ended:
-                verdict = _verdict(game, world, info)
-                print(verdict)
+                verdict = [_verdict(game, world, info)]
+                print(verdict[0])
+    return "quit"
 
 
 def _verdict(game: Game, world: int, info: Info) -> str:
@@ -222,5 +221,3 @@ def main(
 
 
 app = command(main, "slam-gym play --scenario office-small --associator jcbb")
-if __name__ == "__main__":
-    app()

@@ -57,6 +57,3 @@ def compared(trained: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str
 
 
 app = command(main, "slam-gym reproduce associator --quick")
-
-if __name__ == "__main__":
-    app()

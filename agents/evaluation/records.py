@@ -11,7 +11,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -81,19 +81,15 @@ def plain(value: Any) -> Any:
 
 def command_line() -> str:
     """The running command as a user types it: `slam-gym train …`."""
-    program = Path(sys.argv[0])
-    command = [] if program.stem in ("slam-gym", "__main__") else [program.stem.replace("_", "-")]
-    return shlex.join(["slam-gym", *command, *sys.argv[1:]])
+    return shlex.join(["slam-gym", *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:
     """Versions of everything on which results depend, and the commit of a checkout."""
     known = {"slam_gym": slam_gym.__version__, "python": platform.python_version(), "machine": platform.platform()}
     for package in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             known[package] = version(package)
-        except PackageNotFoundError:
-            continue
     try:
         git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
         known["commit"] = subprocess.run(git, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

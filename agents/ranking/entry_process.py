@@ -28,6 +28,7 @@ from agents.drivers.base import ActionKind, Info, Observation, find_agent, legal
 from slam_gym.association import resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
+from slam_gym.types._fields import floats
 from slam_gym.validation import check_hypothesis
 
 LIMIT = 60.0  # [s] for an answer
@@ -36,7 +37,7 @@ _LONGEST = 1 << 22  # bytes of an answer
 _NONSENSE = (KeyError, TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError)
 
 
-class EntryError(RuntimeError):
+class EntryError(ValueError):
     """A failure of an entry, by which it loses the episode."""
 
 
@@ -46,8 +47,8 @@ class EntryProcess:
     Raises EntryError where no entry of this `role` has this name.
     """
 
-    def __init__(self, role: str, name: str, limit: float = LIMIT) -> None:
-        self._entry, self._limit, self._next_limit = (role, name), limit, START
+    def __init__(self, role: str, name: str) -> None:
+        self._entry = role, name
         self._loop = asyncio.new_event_loop()
         self._process: asyncio.subprocess.Process | None = None
         atexit.register(self.close)
@@ -57,7 +58,7 @@ class EntryProcess:
         """The answer of the entry to a request. Raises EntryError where it does not answer properly."""
         if self._process is None:
             self._start()
-        limit, self._next_limit = self._next_limit, self._limit
+        limit, self._next_limit = self._next_limit, LIMIT
         return self._answer(pickle.dumps(request), limit)
 
     def refuse(self, reason: object) -> EntryError:
@@ -87,15 +88,16 @@ class EntryProcess:
         try:
             line = self._loop.run_until_complete(asyncio.wait_for(self._exchange(request), seconds))
             message = json.loads(line)
-            if "answer" not in message:
-                raise self.refuse(message["error"])
-            return message["answer"]
+            if "answer" in message:
+                return message["answer"]
+            reason = message["error"]
         except TimeoutError:
             raise self.refuse(f"no answer in {seconds:g} s") from None
         except (OSError, asyncio.IncompleteReadError):
             raise self.refuse("its process ended") from None
         except (*_NONSENSE, RecursionError, asyncio.LimitOverrunError):
             raise self.refuse("its answer is nonsense") from None
+        raise self.refuse(reason)
 
     async def _exchange(self, request: bytes) -> bytes:
         if request:
@@ -119,7 +121,7 @@ class EntryAgent:
         action = self._process.ask("act", dict(observation), dict(info))
         try:
             if self.action == "twist":
-                return _numbers(action, (2,)).clip(-1.0, 1.0).astype(np.float32)
+                return _numbers({"twist": action}, "twist", (2,)).clip(-1.0, 1.0).astype(np.float32)
             if action not in np.flatnonzero(legal_goals(info)).tolist():
                 raise ValueError(f"goal {str(action)[:80]} is not legal")
             return int(action)
@@ -134,13 +136,13 @@ def associate_in(process: EntryProcess, scan: Scan, prediction: Prediction) -> H
         new, known = answer["new"], answer["experience"]
         hypothesis = Hypothesis(
             np.array(answer["features"]),
-            float(_numbers(answer["joint_distance"], ())),
+            float(_numbers(answer, "joint_distance", ())),
             int(answer["dof"]),
             new=None if new is None else np.array(new),
             exclusive=bool(answer["exclusive"]),
             experience=None if known is None else Experience(
-                float(_numbers(known["unpaired"], ())), float(_numbers(known["area"], ())),
-                _numbers(known["detections"], (-1,)),
+                float(_numbers(known, "unpaired", ())), float(_numbers(known, "area", ())),
+                _numbers(known, "detections", (-1,)),
             ),
         )  # fmt: skip
         return check_hypothesis(hypothesis, len(scan), int(prediction.features.max(initial=-1)) + 1)
@@ -156,23 +158,20 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
         distance, located = 0.0, (features != UNPAIRED).sum() >= 2
         check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
         if located:
-            distance = float(_numbers(answer["joint_distance"], ()))
-            pose, covariance = _numbers(answer["pose"], (3,)), _numbers(answer["covariance"], (3, 3))
+            distance = float(_numbers(answer, "joint_distance", ()))
+            pose, covariance = _numbers(answer, "pose", (3,)), _numbers(answer, "covariance", (3, 3))
             np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # raises unless it is a covariance
-        counts = [int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties")]
-        dof, least, ambiguous, ties = counts
+        dof, least, ambiguous, ties = (int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties"))
         return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
     except _NONSENSE as error:
         raise process.refuse(f"no relocation, {error}") from None
 
 
-def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """`value` as an array of finite numbers of this shape, in which −1 stands for any length; else ValueError."""
-    array = np.array(value, np.float64)
-    if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape)):
-        raise ValueError(f"numbers of shape {array.shape}, expected {shape}")
+def _numbers(answer: dict[str, Any], name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """An entry of an answer as an array of finite numbers of this shape; ValueError as `floats`."""
+    array = floats(name, answer[name], shape)
     if not np.isfinite(array).all():
-        raise ValueError("a number is not finite")
+        raise ValueError(f"{name}: a number is not finite")
     return array
 
 

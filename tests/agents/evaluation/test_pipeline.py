@@ -73,7 +73,7 @@ def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown
 
 
 def test_csv_and_json_say_what_was_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["evaluate.py", "--episodes", "2"])
+    monkeypatch.setattr(sys, "argv", ["slam-gym", "evaluate", "--episodes", "2"])
     results = carry_out(counting([task(0)], split="test"), tmp_path, NEW)
     frame = pd.read_csv(tmp_path / "results.csv")
     assert list(frame.columns) == ["name", "setting", "episode", "model", "value", "curve"]

@@ -8,7 +8,7 @@ import pytest
 
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.ranking import protocol
+from agents.ranking import entry_process, protocol
 from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.ranking.protocol import FIRST, LOST, lose
 from slam_gym.association import gcbb, marginal
@@ -25,8 +25,8 @@ def started():
     """Entries that end with the test."""
     entries = []
 
-    def start(role, name, **options):
-        entries.append(EntryProcess(role, name, **options))
+    def start(role, name):
+        entries.append(EntryProcess(role, name))
         return entries[-1]
 
     yield start
@@ -74,7 +74,8 @@ def test_an_entry_finds_no_simulator_and_replaces_no_score(started):
     ],
 )  # fmt: skip
 def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, started, name, said):
-    process = started("agent", f"{STRANGERS}:{name}", limit=1.0)
+    process = started("agent", f"{STRANGERS}:{name}")
+    monkeypatch.setattr(entry_process, "LIMIT", 1.0)
     monkeypatch.setattr(protocol, "process", lambda role, name: process)
     protocol._loop.cache_clear()
     worlds = (FIRST, FIRST + 1) if name == "Exiting" else (FIRST,)  # every failure ends the process, in the same way
