@@ -96,10 +96,12 @@ class Table:
     @property
     def bold(self) -> dict[str, set[str]]:
         """Column key → the names with the best values or, in a table of differences, with intervals that exclude 0."""
-        values = {c.key: {name: row[c.key] for name, row in self.rows.items() if c.key in row} for c in self.columns}
-        if self.differences:
-            return {key: {name for name, v in column.items() if _excludes_zero(v)} for key, column in values.items()}
-        return {c.key: best_names(values[c.key], c) for c in self.columns}
+        bold = {}
+        for column in self.columns:
+            values = {name: v for name, row in self.rows.items() if isinstance(v := row.get(column.key), Interval)}
+            significant = {name for name, value in values.items() if value.low > 0.0 or value.high < 0.0}
+            bold[column.key] = significant if self.differences else best_names(values, column)
+        return bold
 
 
 # -- estimates -----------------------------------------------------------------------------------------------------
@@ -135,14 +137,9 @@ def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value
     return {c.key: estimate_of(frame, c.key, mean if c.rare else interquartile_mean) for c in columns}
 
 
-def by_name(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The episodes of each agent or associator, in the order of the frame."""
-    return dict(iter(frame.groupby("name", sort=False)))
-
-
-def by_setting(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The episodes of each scenario, level or log, in the order of the frame."""
-    return dict(iter(frame.groupby("setting", sort=False)))
+def grouped(frame: pd.DataFrame, by: str) -> dict[str, pd.DataFrame]:
+    """The episodes of each `name` or `setting`, in the order of the frame."""
+    return dict(iter(frame.groupby(by, sort=False)))
 
 
 def difference(
@@ -154,26 +151,18 @@ def difference(
     return estimate(paired, paired.index.get_level_values("setting"), statistic=statistic)
 
 
-def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
+def best_names(values: Mapping[str, Interval], column: Column) -> set[str]:
     """The names with the best value or with an interval that overlaps the best one's; none if these are all names.
 
     The ceiling is left out, and so are values without an interval.
     """
-    known = {
-        name: value
-        for name, value in values.items()
-        if isinstance(value, Interval) and math.isfinite(value.low) and not name.startswith(CEILING)
-    }
+    known = {name: v for name, v in values.items() if math.isfinite(v.low) and not name.startswith(CEILING)}
     if not column.better or len(known) < 2:
         return set()
-    sign = 1.0 if column.better == "lower" else -1.0
-    first = min(known.values(), key=lambda value: sign * value.estimate)
+    best = min if column.better == "lower" else max
+    first = best(known.values(), key=lambda value: value.estimate)
     tied = {name for name, value in known.items() if value.low <= first.high and value.high >= first.low}
     return tied if len(tied) < len(known) else set()
-
-
-def _excludes_zero(value: Value) -> bool:
-    return isinstance(value, Interval) and (value.low > 0.0 or value.high < 0.0)
 
 
 # -- as text -------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,7 @@ Frames = Mapping[str, pd.DataFrame]
 
 def colours(names: Sequence[str]) -> Colours:
     """The colour of each name throughout a report; the ceiling has the colour of text."""
-    others = [name for name in names if name != CEILING]
-    return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)} | {CEILING: INK}
+    return dict(zip((name for name in names if name != CEILING), cycle(PALETTE))) | {CEILING: INK}
 
 
 def _figure(height: float) -> Figure:
@@ -164,8 +164,6 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
 
 # -- recordings --------------------------------------------------------------------------------------------------------
 
-_REFERENCE, _LANDMARK, _DUPLICATE, _CLUTTER, _UNLABELLED = "#aeb8c2", "#2f6db5", "#b0413e", "#e0a35c", "#8a97a6"
-
 
 def maps(errors: Frames, features: Frames, reference: Array, landmarks: Array, colour: Colours) -> Figure:
     """One panel per associator, with its path over the reference, and its features by kind.
@@ -183,7 +181,7 @@ def maps(errors: Frames, features: Frames, reference: Array, landmarks: Array, c
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
     handles: dict[str, Any] = {}
     for axis, (name, error) in zip(axes, errors.items()):
-        axis.plot(*reference.T, color=_REFERENCE, linewidth=2.2, label="reference")
+        axis.plot(*reference.T, color="#aeb8c2", linewidth=2.2, label="reference")
         axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
         _draw_features(axis, features[name], landmarks)
         axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
@@ -211,16 +209,15 @@ def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None
     identity, first = shown["identity"], ~shown["identity"].duplicated()
     if len(landmarks):
         axis.plot(*landmarks.T, "+", color=INK, markersize=8, markeredgewidth=1.0, label="true landmark")
-    kinds = (
-        ("landmark", first & (identity >= 0), _LANDMARK),
-        ("duplicate", ~first & (identity >= 0), _DUPLICATE),
-        ("from clutter", identity == SPURIOUS, _CLUTTER),
-        ("unlabelled", identity < SPURIOUS, _UNLABELLED),
-    )
-    for label, rows, colour in kinds:
+    kinds = {
+        "landmark": (first & (identity >= 0), "#2f6db5"),
+        "duplicate": (~first & (identity >= 0), "#b0413e"),
+        "from clutter": (identity == SPURIOUS, "#e0a35c"),
+        "unlabelled": (identity < SPURIOUS, "#8a97a6"),
+    }
+    for label, (rows, colour) in kinds.items():
         if rows.any():
-            chosen = shown[rows]
-            axis.plot(chosen["aligned_x"], chosen["aligned_y"], ".", color=colour, markersize=4.5, label=label)
+            axis.plot("aligned_x", "aligned_y", ".", data=shown[rows], color=colour, markersize=4.5, label=label)
 
 
 def errors_over_time(errors: Frames, colour: Colours) -> Figure:

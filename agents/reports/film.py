@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
@@ -74,27 +73,25 @@ def _shots(
 ) -> list[Shot]:
     """The shots of one episode, in the order of their ticks; the last shows the end of the episode."""
     agent, shots, wrong = driver.make(), list[Shot](), False
-    env = arguments.make(agent.action, render_mode="rgb_array", associator=associator)
-    stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
+    env: Any = arguments.make(agent.action, render_mode="rgb_array", associator=associator).unwrapped
+    stride = max(1, round(env.scenario.budget / FRAMES))
 
-    def watch(env: gym.Env[Any, Any]) -> None:
+    def shoot(frames: int) -> None:
+        picture = env.render()
+        shots.append(Shot(env.episode.ticks, zlib.compress(picture.tobytes(), 1), picture.shape, frames))
+
+    def watch(_: Any) -> None:
         nonlocal wrong
-        run = env.unwrapped.episode  # type: ignore[attr-defined]
+        run = env.episode
         first_wrong, wrong = not wrong and run.identities.total.fp > 0, run.identities.total.fp > 0
         frames = RATE if first_wrong else SLOW if _is_slow(run) else 1
         if frames > 1 or run.ticks % stride == 0:
-            shots.append(_shot(env, frames))
+            shoot(frames)
 
     run_episode(env, agent, episode, watch)
-    shots.append(_shot(env, RATE))
+    shoot(RATE)
     env.close()
     return shots
-
-
-def _shot(env: gym.Env[Any, Any], frames: int) -> Shot:
-    picture = np.asarray(env.render(), dtype=np.uint8)
-    ticks: int = env.unwrapped.episode.ticks  # type: ignore[attr-defined]
-    return Shot(ticks, zlib.compress(picture.tobytes(), 1), picture.shape, frames)
 
 
 def _cut(reels: Sequence[Sequence[Shot]], path: Path, names: Sequence[str] = ()) -> Path:

@@ -1,70 +1,32 @@
 """The report of an evaluation: one page of HTML, made from its folder.
 
-A page is a list of parts in order: tables, pictures, films and paragraphs, made from results by the function for their
-kind. Pictures are embedded in the page; films are separate files. The terminal shows the tables of the same page.
+Pictures are embedded in the page; films are separate files. The terminal shows the tables of the same page.
 """
 
 from __future__ import annotations
 
 import base64
-import importlib
 import io
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from agents.evaluation.pipeline import Results, read_results
 from agents.evaluation.records import undamaged, write_whole
-from agents.evaluation.tables import Table, cell, display_name
+from agents.evaluation.tables import cell, display_name
 from agents.reports.figures import colours
-
-
-class Picture(NamedTuple):
-    """A figure of a page, drawn when the page is written."""
-
-    alt: str
-    draw: Callable[[], Figure]
-
-
-class Film(NamedTuple):
-    """A film of the first episode with its last picture and map error; the error is None for several side by side."""
-
-    agent: str
-    path: Path  # .mp4; the picture beside it is .png
-    error: float | None
-
-
-Part = Table | Picture | Film | str
-
-
-@dataclass(frozen=True)
-class Page:
-    """The contents of a report: the terminal shows the tables of `parts`, then those of `headline` (the first last)."""
-
-    title: str
-    subtitle: str
-    parts: Sequence[Part]
-    notes: str  # the template that explains the columns
-    headline: Sequence[Table] = ()  # at the beginning of the report
-
-    @property
-    def tables(self) -> list[Table]:
-        return [part for part in (*self.parts, *self.headline[::-1]) if isinstance(part, Table) and not part.detail]
+from agents.reports.pages import PAGES, Page, Part, Picture
 
 
 def page_of(results: Results, folder: Path) -> Page:
     """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
     kind = results.metadata["kind"]
-    pages = importlib.import_module("agents.reports.pages").PAGES  # which imports this module
-    if kind not in pages:
+    if kind not in PAGES:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
     with undamaged(f"results.csv or results.json of {folder}"):
-        return pages[kind](results, folder)
+        return PAGES[kind](results, folder)
 
 
 def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]] = iter) -> Path:

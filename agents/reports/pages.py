@@ -1,15 +1,20 @@
-"""The pages of the reports: of drives, of the association suite, and of recordings."""
+"""The pages of the reports: of drives, of the association suite, and of recordings.
+
+A page is a list of parts in order: tables, pictures, films and paragraphs.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
+from matplotlib.figure import Figure
 
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import JOIN
@@ -23,8 +28,6 @@ from agents.evaluation.tables import (
     Column,
     Rows,
     Table,
-    by_name,
-    by_setting,
     columns,
     counted,
     difference,
@@ -32,14 +35,48 @@ from agents.evaluation.tables import (
     estimate,
     estimate_of,
     estimates,
+    grouped,
 )
 from agents.reports import figures
 from agents.reports.film import BESIDE, film_path
-from agents.reports.page import Film, Page, Part, Picture
 from agents.suite import OUTCOMES
 from slam_gym.metrics.statistics import Interval, mean
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.simulation.judged import CEILING
+
+
+class Picture(NamedTuple):
+    """A figure of a page, drawn when the page is written."""
+
+    alt: str
+    draw: Callable[[], Figure]
+
+
+class Film(NamedTuple):
+    """A film of the first episode with its last picture and map error; the error is None for several side by side."""
+
+    agent: str
+    path: Path  # .mp4; the picture beside it is .png
+    error: float | None
+
+
+Part = Table | Picture | Film | str
+
+
+@dataclass(frozen=True)
+class Page:
+    """The contents of a report: the terminal shows the tables of `parts`, then those of `headline` (the first last)."""
+
+    title: str
+    subtitle: str
+    parts: Sequence[Part]
+    notes: str  # the template that explains the columns
+    headline: Sequence[Table] = ()  # at the beginning of the report
+
+    @property
+    def tables(self) -> list[Table]:
+        return [part for part in (*self.parts, *self.headline[::-1]) if isinstance(part, Table) and not part.detail]
+
 
 # -- drives: of drivers, or of associators in the loop -----------------------------------------------------------------
 
@@ -65,10 +102,10 @@ PAIRED = "paired over the episodes of all scenarios; negative: the row makes the
 def drives_page(results: Results, folder: Path) -> Page:
     """First paired differences, for associators with map errors and lost maps; a table for each scenario with its
     episodes; for drivers curves over time, for associators final maps; and the films in `folder`."""
-    kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
+    kind, groups, colour = results.metadata["kind"], grouped(results.frame, "name"), figures.colours(results.names)
     drivers, parts, first = kind == "drivers", list[Part](), [] if kind == "drivers" else headline(results.frame)
-    for table, (setting, frame) in zip(drive_tables(results), by_setting(results.frame).items()):
-        dots = partial(figures.dot_chart, by_name(frame), PANELS[kind], colour)
+    for table, (setting, frame) in zip(drive_tables(results), grouped(results.frame, "setting").items()):
+        dots = partial(figures.dot_chart, grouped(frame, "name"), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
         if drawn := {name: path for name in groups if (path := map_path(folder, setting, name)).exists()}:
             final = partial(figures.side_by_side, drawn)
@@ -102,34 +139,32 @@ def drive_tables(results: Results) -> list[Table]:
     Models of one agent are pooled. Where a robot was carried away, there are columns on relocation.
     """
     kind, tables = results.metadata["kind"], []
-    for setting, frame in by_setting(results.frame).items():
+    for setting, frame in grouped(results.frame, "setting").items():
         shown = COLUMNS[kind] + (RELOCATION_COLUMNS if frame["kidnapped"].any() else [])
         title = f"{setting}, {counted(frame['episode'].nunique(), 'episode')}"
         title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
-        rows = {name: estimates(episodes, shown) for name, episodes in by_name(frame).items()}
-        table = Table(title, kind.removesuffix("s"), shown, rows)
+        rows = {name: estimates(episodes, shown) for name, episodes in grouped(frame, "name").items()}
+        caption = f"interquartile mean{INTERVALS}"
         if Clairvoyant.name in rows:
-            table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
-        missed = int(frame["missed_loop"].sum()) if "missed_loop" in frame else 0
-        if missed:
-            warning = f"in {missed} of {counted(len(frame), 'drive')} the robot says that it has mapped a place twice"
-            table = replace(table, caption=f"{table.caption}; {warning}")
-        tables.append(table)
+            caption += "; clairvoyant is shown the plan: the upper reference"
+        if "missed_loop" in frame and (missed := int(frame["missed_loop"].sum())):
+            drives = counted(len(frame), "drive")
+            caption += f"; in {missed} of {drives} the robot says that it has mapped a place twice"
+        tables.append(Table(title, kind.removesuffix("s"), shown, rows, caption))
     return tables
 
 
 def headline(frame: pd.DataFrame) -> list[Table]:
     """Two tables: paired differences to true association with the same relocation, where there are any, and aligned map
     errors with errors that are not aligned and lost maps."""
-    groups, (error, raw, lost) = by_name(frame), columns("map_error_aligned", "map_error", "map_lost")
-    settings = list(by_setting(frame))
-    means = [
-        Column(setting, setting, 3, "lower") for setting in (settings if len(settings) == 1 else [*settings, MEAN])
-    ]
+    groups, (error, raw, lost) = grouped(frame, "name"), columns("map_error_aligned", "map_error", "map_lost")
+    settings = list(grouped(frame, "setting"))
+    shown = settings if len(settings) == 1 else [*settings, MEAN]
+    means = [Column(setting, setting, 3, "lower") for setting in shown]
     errors: Rows = {}
     gaps: Rows = {}
     for name, own in groups.items():
-        parts = by_setting(own) | {MEAN: own}
+        parts = grouped(own, "setting") | {MEAN: own}
         errors[name] = {setting: estimate_of(some, error.key, mean) for setting, some in parts.items()}
         errors[name] |= {column.key: estimate_of(own, column.key, mean) for column in (raw, lost)}
         associator, join, relocation = name.partition(JOIN)
@@ -259,14 +294,11 @@ LOG_NOTES = {
 
 def recordings_page(results: Results, folder: Path) -> Page:
     """For each log its tables, maps over the reference, and errors over time; means where there are several logs."""
-    logs, colour, parts = by_setting(results.frame), figures.colours(results.names), list[Part]()
+    logs, colour, parts = grouped(results.frame, "setting"), figures.colours(results.names), list[Part]()
     for name, own in logs.items():
         about = own.iloc[0]
-        title = f"{name}, {about['steps']} scans, {about['true_features']} labelled features"
-        parts += [
-            *log_tables(own, title),
-            f"{about['measurements']} measurements, {about['clutter']} of them spurious. {about['source']}",
-        ]
+        parts += log_tables(own, f"{name}, {about['steps']} scans, {about['true_features']} labelled features")
+        parts.append(f"{about['measurements']} measurements, {about['clutter']} of them spurious. {about['source']}")
         parts += _pictures(name, own["name"], folder / FOLDER, colour)
     if len(logs) > 1:
         parts += log_tables(log_means(results.frame), "mean")
@@ -276,13 +308,11 @@ def recordings_page(results: Results, folder: Path) -> Page:
 
 def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
     """Two tables of one log, or of means: the most important columns, and further ones. Empty columns are left out."""
-    both = []
-    for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS):
-        filled = [column for column in shown if frame[column.key].notna().any()]
-        rows = frame.set_index("name")[[column.key for column in filled]].astype(float).to_dict("index")
-        notes = [note for key, note in LOG_NOTES.items() if key in frame and frame[key].notna().any()]
-        both.append(Table(title, "associator", filled, rows, "\n".join(notes)))
-    return [both[0], replace(both[1], title="", caption="", detail=True)]
+    filled = frame.set_index("name").dropna(axis=1, how="all")
+    notes = "\n".join(note for key, note in LOG_NOTES.items() if key in filled)
+    first, further = ([c for c in shown if c.key in filled] for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS))
+    rows = filled[[c.key for c in (*first, *further)]].astype(float).to_dict("index")
+    return [Table(title, "associator", first, rows, notes), Table("", "associator", further, rows, "", detail=True)]
 
 
 def log_means(frame: pd.DataFrame) -> pd.DataFrame:

@@ -11,7 +11,7 @@ from agents.evaluation.associators import SHIPPED, Metered, metered
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import carry_out
-from agents.evaluation.tables import by_name, by_setting
+from agents.evaluation.tables import grouped
 from agents.options import Execution
 from agents.reports.pages import headline
 from slam_gym.association import ASSOCIATORS, nearest_neighbour, resolve_associator
@@ -47,7 +47,7 @@ def test_the_meter_changes_nothing_and_counts_every_scan(finished):
         make_agent("nearest_frontier"),
         1,
     )
-    own = by_name(finished.frame)["nearest_neighbour"].iloc[1]
+    own = grouped(finished.frame, "name")["nearest_neighbour"].iloc[1]
     for key in ("map_error", "precision", "recall", "anees", "duplicates", "ate", "decisions"):
         assert plain[key] == own[key]
 
@@ -113,8 +113,8 @@ def test_means_and_lost_maps_are_those_of_the_episodes(frame):
     _, errors = headline(frame)
     assert [column.key for column in errors.columns] == ["drift-1", "loop", "mean", "map_error", "map_lost"]
     for name, row in errors.rows.items():
-        own = by_name(frame)[name]
-        assert row["drift-1"].estimate == pytest.approx(by_setting(own)["drift-1"]["map_error_aligned"].mean())
+        own = grouped(frame, "name")[name]
+        assert row["drift-1"].estimate == pytest.approx(grouped(own, "setting")["drift-1"]["map_error_aligned"].mean())
         assert row["mean"].estimate == pytest.approx(own["map_error_aligned"].mean())
         assert row["map_error"].estimate == pytest.approx(own["map_error"].mean())
         assert row["mean"].low < row["mean"].estimate < row["mean"].high

@@ -11,12 +11,11 @@ from agents.evaluation.tables import (
     Column,
     Table,
     best_names,
-    by_name,
-    by_setting,
     cell,
     difference,
     estimate,
     estimates,
+    grouped,
     print_table,
 )
 from slam_gym.metrics.statistics import Interval
@@ -40,10 +39,10 @@ def test_differences_are_paired_over_episodes_and_settings():
         {"name": name, "setting": setting, "episode": k, "f1": base + 0.1 * k + (0.05 if name == "a" else 0.0)}
         for name in ("a", "b") for setting, base in (("x", 0.0), ("y", 0.5)) for k in range(5)
     ])  # fmt: skip
-    found = by_name(frame)
+    found = grouped(frame, "name")
     gap = difference(found["a"], found["b"], "f1")
     assert (gap.estimate, gap.low, gap.high) == pytest.approx((0.05, 0.05, 0.05))
-    assert difference(found["a"], by_setting(found["b"])["y"][:-1], "f1").estimate == pytest.approx(0.05)
+    assert difference(found["a"], grouped(found["b"], "setting")["y"][:-1], "f1").estimate == pytest.approx(0.05)
     assert math.isnan(difference(found["a"], frame[:0], "f1").estimate)
 
 
@@ -63,7 +62,8 @@ def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_pla
     assert best_names(found, Column("x", "x", 3)) == set()
     assert best_names(found | {"c": Interval(0.85, 0.7, 0.9)}, HIGHER) == {"b", "c"}
     assert best_names({"a": Interval(0.5, 0.4, 0.6), "b": Interval(0.5, 0.4, 0.6)}, HIGHER) == set()
-    assert best_names({"a": 0.1, "b": 0.2}, LOWER) == set()  # each from one run
+    one_run = {"a": {"error": 0.1}, "b": {"error": 0.2}}
+    assert Table("", "who", [LOWER], one_run).bold == {"error": set()}
 
 
 def test_differences_are_bold_where_they_exclude_zero():
