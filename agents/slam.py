@@ -25,13 +25,10 @@ if TYPE_CHECKING:
 
 def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array, int]:
     """Run SLAM over a log; returns it with its poses (T, 3) [m, m, rad], and the number of scans that were doubted."""
+    from agents.evaluation.mapped_log import slam_with
     from slam_gym.scenarios.registry import slam_for
-    from slam_gym.slam.atlas import AtlasSpec
-    from slam_gym.slam.relocate import relocate_by
-    from slam_gym.slam.slam import Slam
 
-    parts = {} if relocation is None else {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
-    slam = Slam(slam_for(log), **parts)  # type: ignore[arg-type]
+    slam = slam_with(slam_for(log), relocation)
     poses, doubted = np.empty((len(log), 3)), 0
     for step, (odometry, scan, _) in enumerate(log.steps()):
         slam.step(odometry, scan, associator)
@@ -91,5 +88,3 @@ def main(
 
 
 app = command(main, "slam-gym slam mine.csv --associator learned --output mapped")
-if __name__ == "__main__":
-    app()

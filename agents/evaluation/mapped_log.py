@@ -100,6 +100,13 @@ class MappedLog:
     in_world: bool  # B is the frame W of the reference, since the reference gives the pose at the log's start
 
 
+def slam_with(spec: SlamSpec, relocation: str | None) -> Slam:
+    """A SLAM run with an atlas that relocates a lost robot by a search, or for None a run with neither."""
+    if relocation is None:
+        return Slam(spec)
+    return Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
+
+
 def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
     """Map a log with an associator; `relocation` is the search that relocates a lost robot.
 
@@ -107,12 +114,10 @@ def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | N
     without confirmation, and no other feature is. The remaining error is not caused by associations, and the robot is
     never lost. Raises as `Slam.step` does, and ValueError for an unknown search.
     """
-    informed, parts = associator == CEILING, {}
+    informed = associator == CEILING
     if informed:
-        spec = replace(spec, map=replace(spec.map, confirmations=1))
-    elif relocation is not None:
-        parts = {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
-    slam = Slam(spec, **parts)  # type: ignore[arg-type]
+        spec, relocation = replace(spec, map=replace(spec.map, confirmations=1)), None
+    slam = slam_with(spec, relocation)
     if (start := start_of(log)) is not None:
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)
@@ -187,15 +192,13 @@ def measure(mapped: MappedLog) -> Record:
 
 
 def associations(mapped: MappedLog) -> Record:
-    """Measures of the decisions, and of the confirmed features that they made."""
-    return _pairings(mapped) | _confirmed(mapped)
-
-
-def _pairings(mapped: MappedLog) -> Record:
-    """Measures of the pairings of measurements with an identity and, separately, of spurious ones."""
-    tally = replace(mapped.tally, fp_spurious=0)
+    """Measures of the pairings of measurements with an identity and, separately, of spurious ones; and of the confirmed
+    features, by the identity of the measurements that started them (NaN without labels)."""
+    tally, sources = replace(mapped.tally, fp_spurious=0), mapped.log.sources
     spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]
     accepted = spurious[spurious["paired"]]
+    identity = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
+    found, labelled = identity[identity >= 0].nunique(), (sources != UNLABELLED).any()
     return {
         "precision": tally.precision,
         "recall": tally.recall,
@@ -205,16 +208,8 @@ def _pairings(mapped: MappedLog) -> Record:
         "clutter_accepted": len(accepted),
         "clutter_share": float(spurious["paired"].mean()),
         "clutter_on_landmarks": int((accepted["feature_source"] >= 0).sum()),
-    }
-
-
-def _confirmed(mapped: MappedLog) -> Record:
-    """Measures of the confirmed features, by the identity of the measurements that started them; NaN without labels."""
-    identity = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
-    found, labelled = identity[identity >= 0].nunique(), (mapped.log.sources != UNLABELLED).any()
-    return {
         "features": len(identity),
-        "true_features": len(np.unique(mapped.log.sources[mapped.log.sources >= 0])),
+        "true_features": len(np.unique(sources[sources >= 0])),
         "found": found,
         "duplicates": int((identity >= 0).sum()) - found if labelled else math.nan,
         "clutter_features": int((identity == SPURIOUS).sum()) if labelled else math.nan,

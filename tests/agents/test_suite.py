@@ -11,7 +11,6 @@ from agents.suite import (
     MAX_DISTANCE,
     MAX_TURN,
     MIN_MAPPED,
-    Judgement,
     Problem,
     ask,
     association_record,
@@ -75,16 +74,16 @@ def deciding(*features) -> Hypothesis:
 def test_an_answer_is_judged_by_hand():
     right = np.array([3, 5, UNPAIRED, 7, UNPAIRED])
 
-    def earned(*features) -> tuple[Judgement, float, float]:
+    def earned(*features) -> tuple[tuple[int, ...], float, float]:
         found = judge(np.array(features), right)
         record = association_record([deciding(*features)], [right])
         return found, record["score"], record["exact"]
 
-    assert earned(*right) == (Judgement(3, 0, 0, 3), 1.0, 1.0)
-    assert earned(*[UNPAIRED] * 5) == (Judgement(0, 0, 3, 3), 0.0, 0.0)
-    assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == (Judgement(2, 0, 1, 3), pytest.approx(2 / 3), 0.0)
-    assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == (Judgement(1, 2, 0, 3), 0.0, 0.0)
-    assert earned(3, 5, 9, 7, UNPAIRED) == (Judgement(3, 1, 0, 3), 0.0, 0.0)
+    assert earned(*right) == ((3, 0, 0, 3), 1.0, 1.0)
+    assert earned(*[UNPAIRED] * 5) == ((0, 0, 3, 3), 0.0, 0.0)
+    assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == ((2, 0, 1, 3), pytest.approx(2 / 3), 0.0)
+    assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == ((1, 2, 0, 3), 0.0, 0.0)
+    assert earned(3, 5, 9, 7, UNPAIRED) == ((3, 1, 0, 3), 0.0, 0.0)
     both = association_record([deciding(*right), deciding(5, 3, UNPAIRED, 7, UNPAIRED)], [right, right])
     assert (both["score"], both["spoiled"], both["precision"]) == (0.0, 0.5, 4 / 6)  # a spoiled scan earns −1
     assert math.isnan(association_record([], [])["score"])
