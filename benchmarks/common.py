@@ -100,17 +100,11 @@ def count_answers(attempts: pd.DataFrame, required: int | None) -> Record:
     """
     answered = attempts["accepted"] if required is None else attempts["pairings"] >= required
     inside, right = attempts["inside"].astype(bool), attempts["right"].astype(bool)
-    outcomes = inside & answered & right, inside & answered & ~right, ~inside & answered
-    counts = [int(outcome.sum()) for outcome in outcomes]
-    scans, outside = int(inside.sum()), int((~inside).sum())
-    return {
-        "asked": "the rule" if required is None else f"≥ {required}",
-        "right": counts[0],
-        "wrong": counts[1],
-        "none": scans - counts[0] - counts[1],
-        "outside: wrong": counts[2],
-        "wrong of outside": proportion(counts[2], outside),
-    }
+    outcomes = {"right": inside & answered & right, "wrong": inside & answered & ~right, "none": inside & ~answered,
+                "outside: wrong": ~inside & answered}  # fmt: skip
+    counts = {name: int(rows.sum()) for name, rows in outcomes.items()}
+    share = proportion(counts["outside: wrong"], int((~inside).sum()))
+    return {"asked": "the rule" if required is None else f"≥ {required}", **counts, "wrong of outside": share}
 
 
 def proportion(count: int, total: int) -> str:

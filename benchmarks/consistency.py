@@ -122,15 +122,10 @@ def estimate(log: DrivenLog, method: str, associator: str) -> Record:
             errors.append(math.dist(pose[:2], true[:2]))
     sources = judged.identities.source_of(ids)
     sources = sources[sources >= 0]
-    return {
-        **{"world": log.world, "method": method, "associator": associator},
-        **{
-            "ANEES": float(np.mean(nees)) / 3.0,
-            "error [m]": math.sqrt(np.mean(np.square(errors))),
-            "final [m]": errors[-1],
-        },
-        **{"duplicates": len(sources) - len(np.unique(sources)), "features": len(ids), "seconds": 1e-6 * microseconds},
-    }
+    row: Record = {"world": log.world, "method": method, "associator": associator}
+    row |= {"ANEES": float(np.mean(nees)) / 3.0, "error [m]": math.sqrt(np.mean(np.square(errors)))}
+    row |= {"final [m]": errors[-1], "duplicates": len(sources) - len(np.unique(sources)), "features": len(ids)}
+    return row | {"seconds": 1e-6 * microseconds}
 
 
 def present(slam: Slam | LocalMapSlam) -> tuple[Array, Array, IntArray]:
@@ -151,12 +146,11 @@ def main() -> None:
         logs.append(park(folder / "victoria_park", 300 if a.quick else None))
     runs = [(log, method, name) for log in logs for name in ("jcbb", "true_association") for method in METHODS]
     results = pd.DataFrame(estimate(*run) for run in runs if run[1:] != ("local maps", "true_association"))
-    keys = ["world", "associator", "method"]
-    rows = []
-    for key, group in results.groupby(keys, sort=False):
-        row = dict(zip(keys, key)) | {"runs": len(group)} | group.median(numeric_only=True).to_dict()
-        rows.append(row | {"closed": proportion(int((group["duplicates"] < CLOSED).sum()), len(group))})
-    table("Medians over the runs", rows)
+    groups = results.groupby(["world", "associator", "method"], sort=False)
+    medians = groups.median(numeric_only=True)
+    medians.insert(0, "runs", groups.size())
+    closed = groups["duplicates"].apply(lambda counts: proportion(int((counts < CLOSED).sum()), len(counts)))
+    table("Medians over the runs", medians.assign(closed=closed).reset_index())
 
 
 if __name__ == "__main__":

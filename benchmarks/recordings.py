@@ -63,11 +63,6 @@ class HalfMap(NamedTuple):
     sources: IntArray  # (n,) identity of each feature, which is that of the measurement that started it
 
 
-def spread(items: Sequence[Any], count: int) -> list[Any]:
-    """At most `count` of the items, evenly spaced."""
-    return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
-
-
 def reference(log: Recording) -> Smoothed:
     """The least-squares optimum of a labelled log, started at the filter with true association."""
     return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
@@ -82,7 +77,11 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
         judged.step(odometry, scan, Truth(np.zeros(3), sources))
     mapped = HalfMap(slam.map.positions, judged.identities.source_of(slam.map.ids))
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
-    chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
+    chosen: list[PlacedScan] = []
+    for inside in (True, False):
+        of_side = [one for one in placed if one[2] is inside]
+        evenly = np.linspace(0, len(of_side) - 1, min(scans, len(of_side))).astype(int)
+        chosen += [of_side[i] for i in evenly]
     localities: dict[str, Locality | None] = {
         "covisibility": covisible(slam.covisibility),
         "two hops": covisible(slam.covisibility, hops=2),
