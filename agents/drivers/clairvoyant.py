@@ -223,10 +223,8 @@ def _seen_from(site: Site, reach: float) -> Bits:
 
 
 def _along(before: NDArray[np.int32], seen: Bits, reached: BoolArray) -> Bits:
-    """(s, c, w) the features seen on paths, from what is `seen` (c, w) in each cell and the cell `before` (s, c) it.
-
-    Every round adds what the present predecessor has collected, and goes twice as far back.
-    """
+    """(s, c, w) the features seen on paths, from what is `seen` (c, w) in each cell and the cell `before` (s, c) it."""
+    # every round adds what the present predecessor has collected, and goes twice as far back
     out = np.where(reached[..., None], seen, np.uint64(0))
     while (before >= 0).any():
         from_cell = np.where(before >= 0, before, np.arange(len(seen)))

@@ -42,12 +42,12 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
     }  # fmt: skip
 
 
-def models_of(associators: Sequence[str]) -> dict[str, dict[str, str]]:
+def models_of(associators: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The hash of each file of weights among the associators, for results.json."""
     return {name: hash_of(Path(name)) for name in associators if name.endswith(".npz")}
 
 
-def hash_of(model: Path) -> dict[str, str]:
+def hash_of(model: Path) -> dict[str, Any]:
     """The SHA-256 of a file, as an entry of results.json."""
     return {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
 
@@ -65,8 +65,7 @@ class Metered:
     def __call__(self, *arguments: Any) -> Any:
         start = time.perf_counter()
         answer = self._function(*arguments)
-        seconds = time.perf_counter() - start
-        self.calls.append((answer.effort.nodes, seconds, answer.effort.limit_hit))
+        self.calls.append((answer.effort.nodes, time.perf_counter() - start, answer.effort.limit_hit))
         return answer
 
     def effort(self) -> Record:

@@ -61,9 +61,7 @@ def drive(
 
 
 # Agents and environments are cached for the next task of the same process.
-@lru_cache(maxsize=8)
-def _agent(driver: Driver) -> Agent:
-    return driver.make()
+_agent = lru_cache(maxsize=8)(Driver.make)
 
 
 @lru_cache(maxsize=4)
@@ -108,14 +106,13 @@ def _warm_up(loop: ExploreArguments, drivers: Sequence[Driver], episode: int) ->
 
 def _describe(model: Path) -> dict[str, Any]:
     """The hash of a model file, and its description of the training."""
-    known: dict[str, Any] = {**hash_of(model)}
     from agents.learning.policies import read_about  # imports torch, which only learned agents need
 
     try:
         about = read_about(model)
     except ValueError:  # a trusted file of another format
-        return known
-    return known | {"training": about.training | {"timesteps": about.timesteps}}
+        return hash_of(model)
+    return hash_of(model) | {"training": about.training | {"timesteps": about.timesteps}}
 
 
 def world_of(conditions: Mapping[str, Any]) -> str:

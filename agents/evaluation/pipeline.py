@@ -91,7 +91,7 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     commands, rows = (before.metadata["commands"], before.frame.to_dict("records")) if before else ([], [])
     commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
     order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
-    done, start = {_key(row) for row in rows}, time.perf_counter()
+    done, start = set(map(_key, rows)), time.perf_counter()
     remaining = [task for task in evaluation.tasks if not done.issuperset(task.keys)]
 
     def write_metadata() -> None:
@@ -107,7 +107,7 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
             rows += [row for row in new_rows if _key(row) not in done]
             rows.sort(key=lambda row: order.get(_key(row), len(order)))
             _write_rows(out, rows)
-            done |= {_key(row) for row in new_rows}
+            done |= set(map(_key, new_rows))
     finally:
         commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
         write_metadata()

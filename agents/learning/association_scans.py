@@ -67,7 +67,10 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     parts = examples(scan, prediction, width=WIDTH, margin=MARGIN)
     counts = [len(part.inputs) for part in parts]
     measured, rows = (np.concatenate([getattr(part, name) for part in parts]) for name in ("measured", "rows"))
-    right, unpaired, known = _labels(truth, prediction, measured, rows)
+    sources, labelled = truth.sources, truth.sources != UNLABELLED
+    right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
+    unpaired = labelled & (truth.right == UNPAIRED)
+    known = unpaired | (labelled & np.isin(np.arange(len(scan)), measured[right]))  # and can be chosen
     if not known.any() or not len(measured):
         return None
     hypotheses, first = [], 0
@@ -80,30 +83,9 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     best = np.argsort(-scores, kind="stable")[:_MOST]
     best = best[scores[best] > scores[best[0]] - MARGIN]
     offset = np.repeat(np.arange(len(parts)), counts) * (len(prediction) + 1)
-    inputs, kept = np.concatenate([part.inputs for part in parts]), np.concatenate(hypotheses)[best]
-    return Decisions(
-        inputs.astype(np.float32),
-        measured,
-        rows + offset,
-        right,
-        kept,
-        scores[best].astype(np.float32),
-        unpaired,
-        known,
-    )
-
-
-def _labels(
-    truth: RightAnswers, prediction: Prediction, measured: IntArray, rows: IntArray
-) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Whether pairings (c,) are right, with duplicate features as well; whether measurements (m,) belong to no feature
-    of the map; and for which (m,) the right decision is known and can be chosen."""
-    sources = truth.sources
-    right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
-    unpaired = (sources != UNLABELLED) & (truth.right == UNPAIRED)
-    offered = np.zeros(len(sources), np.bool_)
-    offered[measured[right]] = True
-    return right, unpaired, (unpaired | offered) & (sources != UNLABELLED)
+    inputs, kept = np.concatenate([part.inputs for part in parts]).astype(np.float32), np.concatenate(hypotheses)[best]
+    kept_scores = scores[best].astype(np.float32)
+    return Decisions(inputs, measured, rows + offset, right, kept, kept_scores, unpaired, known)
 
 
 def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:

@@ -51,7 +51,7 @@ CHOICES = {"goal": ("goals", GOAL_FIELDS), "branch": ("candidates", CANDIDATE_FI
 HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
 _WHOLE_NUMBERS = ("n_steps", "batch_size", "n_epochs")
 _PPO = (*_WHOLE_NUMBERS, "learning_rate", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef")
-_LARGEST_LAYER, _LONGEST = 1_024, 10**12
+_LARGEST = {"timesteps": 10**12, "eval_every": 10**12, "envs": 1_024, "width": 1_024, "hidden": 1_024}
 LAST = 0.05  # final learning rate and entropy coefficient, as a fraction of the initial ones
 
 
@@ -73,8 +73,8 @@ class Hyperparameters:
     ppo: dict[str, Any]  # arguments of Stable-Baselines3's PPO
 
     def __post_init__(self) -> None:
-        for name in ("timesteps", "eval_every", "envs", "width", "hidden"):
-            value, most = getattr(self, name), _LONGEST if name in ("timesteps", "eval_every") else _LARGEST_LAYER
+        for name, most in _LARGEST.items():
+            value = getattr(self, name)
             if type(value) is not int or not 1 <= value <= most:
                 raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {most}")
         if not isinstance(self.ppo, dict) or not set(self.ppo) <= set(_PPO):
@@ -312,9 +312,8 @@ def branch_weights(policy: Any, about: About) -> Weights:
     """The arrays of a network trained on Associate-v0, with which `tracking.ppo` associates without torch."""
     net, known, arrays = policy.features_extractor, about.training, {}
     layers = net.embed[0], net.embed[2], net.situation[1], net.score[0], net.score[2]
-    for name, layer in zip("ABCDw", layers):
-        arrays[name] = layer.weight.detach().numpy().copy()
-        arrays["w0" if name == "w" else name.lower()] = layer.bias.detach().numpy().copy()
+    for weight, bias, layer in zip("ABCDw", ("a", "b", "c", "d", "w0"), layers):
+        arrays |= {weight: layer.weight.detach().numpy().copy(), bias: layer.bias.detach().numpy().copy()}
     walk = known["candidates"], ORDERS.index(known["order"]), COMPATIBILITIES.index(known["compatibility"])
     arrays["walk"] = np.array(walk, np.int64)
     card = Card(ppo.VERSION, ppo.INPUTS, {}, tuple(known["scenario"]), (known["seed"],), known["command"], {})

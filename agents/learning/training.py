@@ -135,9 +135,8 @@ def train(
     held_out = [(training.eval_episodes + i) // len(worlds) for i in range(len(worlds))]  # as EvalCallback spreads them
     watched = DummyVecEnv([partial(HeldOutWorlds, decision, *each) for each in zip(worlds, held_out)])
     known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
-    about = About.of(
-        watched.envs[0], decision, hyper, plain(known | {"command": command_line(), "versions": versions()})
-    )
+    known |= {"command": command_line(), "versions": versions()}
+    about = About.of(watched.envs[0], decision, hyper, plain(known))
     vectorised = SubprocVecEnv if training.processes and hyper.envs > 1 else DummyVecEnv
     learned_from = [partial(make, decision, replace(each, split="train"), hyper.reward_scale) for each in worlds]
     envs: VecEnv = vectorised([learned_from[k % len(worlds)] for k in range(hyper.envs)])
@@ -149,7 +148,9 @@ def train(
         losses = clone(model.policy, [each() for each in learned_from], associator, training.seed)
         print(f"cloned {associator}: −log p of its decisions {losses[-1]:.3f}")
     out.mkdir(parents=True, exist_ok=True)
-    model.set_logger(_logs(out, model.num_timesteps))
+    csv = f"_from_{model.num_timesteps}" if model.num_timesteps else ""  # a resumed training writes a file of its own
+    logs = [make_output_format("csv", str(out), csv), make_output_format("tensorboard", str(out))]
+    model.set_logger(Logger(str(out), logs))
     watch = _watch(out, about, training, watched, model.num_timesteps)
     keep = CheckpointCallback(watch.eval_freq, str(out / CHECKPOINTS), "model")
     try:
@@ -223,9 +224,3 @@ def _resume(model: Any, path: Path, about: About) -> None:
     model.set_parameters(path, device="cpu")  # weights only: nothing is unpickled
     model.num_timesteps = before.timesteps
     model.set_random_seed(model.seed + model.num_timesteps)
-
-
-def _logs(out: Path, start: int) -> Logger:
-    """TensorBoard and CSV logs; a resumed training writes a CSV file of its own."""
-    csv = make_output_format("csv", str(out), f"_from_{start}" if start else "")
-    return Logger(str(out), [csv, make_output_format("tensorboard", str(out))])
