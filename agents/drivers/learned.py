@@ -50,11 +50,6 @@ class Tokens(NamedTuple):
     legal: Any  # (…, k)
 
 
-def ticks_left(budget: float, used: float) -> float:
-    """Remaining ticks, from the fraction of the `budget` that is left and the ticks `used`; many while unknown."""
-    return min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
-
-
 def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[IntArray, Tokens]:
     """(CHOICES,) the `legal` goals of the highest rates, best first, and their tokens, after `used` ticks.
 
@@ -62,8 +57,8 @@ def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[
     goals = unsquash_goals(observation["goals"])
     goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
     places = np.column_stack([goals["x"], goals["y"]])
-    budget = float(observation["budget"][0])
-    left, greedy = ticks_left(budget, used), np.log10(rates(goals) + 1e-3)
+    budget, greedy = float(observation["budget"][0]), np.log10(rates(goals) + 1e-3)
+    left = min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
     own = np.zeros((len(places), len(OWN)))
     own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
     distances = np.hypot(*places.T)

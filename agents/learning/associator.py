@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.learning.association_scans import DRIVES, HIDDEN, LEVELS, LOGS, Decisions, Source
-from agents.learning.cloning import fit
+from agents.learning.cloning import figure, fit
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, VERSION, Network, load_network
 from slam_gym.types import UNPAIRED
-from slam_gym.weights import Card, Weights, figure
+from slam_gym.weights import Card, Weights
 
 SHARES = {"level": 0.5, "drive": 0.45, "log": 0.05}
 """The share of each kind of source in the loss, whatever its number of scans."""

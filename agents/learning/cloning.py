@@ -1,8 +1,10 @@
-"""Supervised learning: the loop that fits a network to examples, for the learned driver and the learned associator; and
-behaviour cloning, by which a policy of the interpretation tree learns to decide as an associator does, before PPO."""
+"""Supervised learning: the loop that fits a network to examples and the figures of its card, for the learned driver and
+the learned associator; and behaviour cloning, by which a policy of the interpretation tree learns to decide as an
+associator does, before PPO."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
@@ -49,6 +51,15 @@ def fit(
         with torch.no_grad():
             curve.append(judge())
     return curve
+
+
+def figure(values: Sequence[float], error: float = 0.0) -> dict[str, float]:
+    """A metric of a card, which is not negative: the mean over seeds, with an interval of three standard deviations of
+    one seed to either side, but at least 2 % of the mean and at least `error`."""
+    mean = math.fsum(values) / len(values)
+    spread = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / max(len(values) - 1, 1))
+    margin = max(3.0 * spread, 0.02 * abs(mean), error)  # rounding differs between machines
+    return {"estimate": mean, "low": max(0.0, mean - margin), "high": mean + margin}
 
 
 # -- behaviour cloning -------------------------------------------------------------------------------------------------

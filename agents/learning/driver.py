@@ -23,10 +23,10 @@ from agents.drivers.baselines import rates
 from agents.drivers.learned import HEADS, MEMBERS, SHAPES, TOKEN_FIELDS, VERSION, Arrays, Tokens, scores, tokens_of
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
 from agents.evaluation.pipeline import run_all
-from agents.learning.cloning import fit
+from agents.learning.cloning import figure, fit
 from agents.learning.sketch import Sketch, missed_by
 from slam_gym.types import Array, BoolArray
-from slam_gym.weights import Card, Weights, figure
+from slam_gym.weights import Card, Weights
 
 SCENARIOS = ("office", "aliased", "hall", "office", "aliased", "crowd")  # by building: odometry does not matter here
 FIRST_WORLD, HELD_OUT = 40_000, 5  # of the train split; every fifth is held out
@@ -79,11 +79,9 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 
 
 def _figure(regrets: Sequence[Array]) -> dict[str, float]:
-    """As `figure`, of the means of `regrets`, with an interval of at least ±3 standard errors of these means."""
-    found = figure([float(own.mean()) for own in regrets])
+    """The figure of the means of `regrets`, with an interval of at least ±3 standard errors of these means."""
     error = 3.0 * float(np.mean([own.std() / len(own) ** 0.5 for own in regrets]))
-    low, high = found["estimate"] - error, found["estimate"] + error
-    return found | {"low": max(0.0, min(found["low"], low)), "high": max(found["high"], high)}
+    return figure([float(own.mean()) for own in regrets], error)
 
 
 # -- states of drives, and the result of each goal there ---------------------------------------------------------------

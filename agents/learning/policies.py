@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -204,12 +203,6 @@ class About:
             raise ValueError("its sizes are no positive numbers")
         if sum(map(math.prod, self.observation.values())) > _MAX_VALUES or self.actions > _MAX_ACTIONS:
             raise ValueError("it describes a network larger than any that is trained here")
-
-    @classmethod
-    def of(cls, env: gym.Env[Any, Any], action: Decision, hyper: Hyperparameters, training: dict[str, Any]) -> About:
-        """The description of a policy before its training on an environment."""
-        shapes = {key: list(space.shape) for key, space in env.observation_space.spaces.items()}
-        return cls(action, shapes, spaces.flatdim(env.action_space), hyper, training)
 
     @property
     def network(self) -> tuple[Any, ...]:

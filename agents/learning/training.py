@@ -136,7 +136,8 @@ def train(
     watched = DummyVecEnv([partial(HeldOutWorlds, decision, *each) for each in zip(worlds, held_out)])
     known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
     known |= {"command": command_line(), "versions": versions()}
-    about = About.of(watched.envs[0], decision, hyper, plain(known))
+    shapes = {name: list(space.shape) for name, space in watched.observation_space.spaces.items()}
+    about = About(decision, shapes, gym.spaces.flatdim(watched.action_space), hyper, plain(known))
     vectorised = SubprocVecEnv if training.processes and hyper.envs > 1 else DummyVecEnv
     learned_from = [partial(make, decision, replace(each, split="train"), hyper.reward_scale) for each in worlds]
     envs: VecEnv = vectorised([learned_from[k % len(worlds)] for k in range(hyper.envs)])

@@ -21,7 +21,6 @@ from agents.evaluation.tables import display_name
 from slam_gym.association.prediction import Associator
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import pixels, pygame, text
-from slam_gym.simulation.episode import Episode
 
 FRAMES = 300
 RATE = 20  # [frames/s]
@@ -84,7 +83,8 @@ def _shots(
         nonlocal wrong
         run = env.episode
         first_wrong, wrong = not wrong and run.identities.total.fp > 0, run.identities.total.fp > 0
-        frames = RATE if first_wrong else SLOW if _is_slow(run) else 1
+        moments = [tick for tick in (run.kidnapping.happened, run.kidnapping.recovered) if tick is not None]
+        frames = RATE if first_wrong else SLOW if any(0 <= run.ticks - tick < 4 for tick in moments) else 1
         if frames > 1 or run.ticks % stride == 0:
             shoot(frames)
 
@@ -120,9 +120,3 @@ def _heading(words: str, width: int) -> NDArray[np.uint8]:
     line = text(words, 18, symbols.INK, bold=True)
     strip.blit(line, ((width - line.get_width()) // 2, 6))
     return pixels(strip)
-
-
-def _is_slow(episode: Episode) -> bool:
-    """Whether the robot has just been carried away or relocated, so that the film slows down."""
-    moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
-    return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)

@@ -10,9 +10,8 @@ from __future__ import annotations
 import functools
 import io
 import json
-import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -134,12 +133,3 @@ def _array(name: str, content: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: not all of it is finite")
     return array
-
-
-def figure(values: Sequence[float]) -> dict[str, float]:
-    """A metric of a card: the mean over seeds, with an interval of three standard deviations of one seed to either
-    side, but at least 2 % of the mean."""
-    mean = math.fsum(values) / len(values)
-    spread = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / max(len(values) - 1, 1))
-    margin = max(3.0 * spread, 0.02 * abs(mean))  # rounding differs between machines
-    return {"estimate": mean, "low": mean - margin, "high": mean + margin}

@@ -5,10 +5,10 @@ import math
 import pytest
 from typer.testing import CliRunner
 
+from agents.learning.cloning import figure
 from agents.reproduce import app, compared
 from slam_gym import weights
 from slam_gym.association.tracking.network import load_network
-from slam_gym.weights import figure
 
 
 def test_the_associator_is_trained_from_nothing(tmp_path):
