@@ -51,13 +51,10 @@ def summary(associator: str, seeds: int, q: float, confidence: float) -> Record:
     """Means over the seeds, and the median over seeds of the run's ANEES."""
     runs = [run_corridor(associator, seed, q, confidence) for seed in range(seeds)]
     total = sum((run.tally for run in runs), Tally())
-    return {
-        **{"Q": q, "confidence": confidence, "associator": associator},
-        "features": float(np.mean([run.slam.map.n for run in runs])),
-        **{"TP": total.tp / len(runs), "FP": total.fp / len(runs), "FN": total.fn / len(runs)},
-        "precision": total.precision,
-        "ANEES": float(np.median([run.nees[1:].mean() / 3.0 for run in runs])),
-    }
+    row: Record = {"Q": q, "confidence": confidence, "associator": associator}
+    row |= {"features": float(np.mean([run.slam.map.n for run in runs]))}
+    row |= {"TP": total.tp / seeds, "FP": total.fp / seeds, "FN": total.fn / seeds, "precision": total.precision}
+    return row | {"ANEES": float(np.median([run.nees[1:].mean() / 3.0 for run in runs]))}
 
 
 def main() -> None:

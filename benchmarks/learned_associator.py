@@ -12,7 +12,6 @@ Trainings and drives that are in the folder already are left out.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
@@ -131,11 +130,10 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
 
 def main() -> None:
     a = options(__doc__, variants=tuple(VARIANTS), seeds=3, timesteps=400_000, worlds=20, out="")
-    with contextlib.ExitStack() as stack:
-        out = Path(a.out or stack.enter_context(TemporaryDirectory()))
-        names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
-        timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
-        variants = {}  # of the files of weights
+    names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
+    timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
+    with TemporaryDirectory() as temporary:
+        out, variants = Path(a.out or temporary), {}  # of the files of weights
         for name, seed in product(names, range(a.seed, a.seed + seeds)):
             path = trained(VARIANTS[name], seed, timesteps, out / name.replace(" ", "-") / str(seed))
             variants[str(path)] = name
@@ -144,8 +142,8 @@ def main() -> None:
         evaluation = associator_evaluation(list(variants), loops, "information_gain", numbers, [None])
         drives = out / "drives"
         frame = carry_out(evaluation, drives, Execution(resume=drives.exists())).frame
-        frame = frame.assign(variant=frame["name"].map(variants))
-        table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))
+    frame = frame.assign(variant=frame["name"].map(variants))
+    table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))
 
 
 if __name__ == "__main__":
