@@ -21,7 +21,7 @@ from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import compose, observe, transform
 from slam_gym.simulation.episode import Episode, Site
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.world.ray_casting import pull_back
+from slam_gym.world.reachability import observable
 
 SPEED = 0.09  # [m/tick] along a path
 OVERHEAD = 6.0  # [ticks] of a leg, to turn, to start and to stop
@@ -214,12 +214,8 @@ def _graph(cells: Array) -> sparse.csr_matrix:
 
 def _seen_from(site: Site, reach: float) -> Bits:
     """(c, w) the observable features within `reach` [m] of each cell of the site that no wall hides."""
-    features, short = site.plan.features.positions, pull_back(site.plan.features)
-    seen = np.zeros((len(site.cells), len(features)), np.bool_)
-    for cell, row in zip(site.cells, seen):
-        near = np.flatnonzero(site.observable & (np.hypot(*(features - cell).T) <= reach))
-        row[near] = site.index.visible(cell, features[near], short[near])
-    return bits_of(seen)
+    seen = [observable(site.plan, site.index, cell[None], reach) for cell in site.cells]
+    return bits_of(site.observable & np.array(seen))
 
 
 def _along(before: NDArray[np.int32], seen: Bits, reached: BoolArray) -> Bits:

@@ -185,10 +185,9 @@ class LearnedDriver(GoalDriver):
 
     name = "learned"
 
-    def __init__(self, weights: str | Path | Weights = "driver") -> None:
-        """`weights` are `Weights`, or a name or path as for `load_driver`."""
-        loaded = weights if isinstance(weights, Weights) else load_driver(weights)
-        self._arrays = loaded.arrays
+    def __init__(self, weights: str | Path = "driver") -> None:
+        """`weights` are a name or path as for `load_driver`."""
+        self._arrays = load_driver(weights).arrays
         self.reset(0)
 
     def reset(self, seed: int) -> None:

@@ -193,13 +193,13 @@ def suite_page(results: Results, folder: Path) -> Page:
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
     association = results.frame[results.frame["experiment"] != RELOCATION]
     if len(association):
-        capability_scores = scores(association)
+        capability_scores, mistakes = scores(association), details(association, MISTAKES)
+        shown = [Column(name, name, 3, "higher") for name in by_world(association)]
         if gaps := leads(association):
-            ahead, caption = _scores_of(association), "paired over worlds; bold: the interval excludes 0"
-            parts.append(Table("Ahead of the next", "ahead of the next by", ahead, gaps, caption, True, detail=True))
-        mistakes, shown = details(association, MISTAKES), [*_scores_of(association), *MISTAKES]
+            caption = "paired over worlds; bold: the interval excludes 0"
+            parts.append(Table("Ahead of the next", "ahead of the next by", shown, gaps, caption, True, detail=True))
         rows: Rows = {name: own | mistakes[name] for name, own in capability_scores.items()}
-        parts.append(Table(f"Capabilities, {about}", "associator", shown, rows))
+        parts.append(Table(f"Capabilities, {about}", "associator", [*shown, *MISTAKES], rows))
         parts.append(Picture("Score per capability", partial(figures.capability_bars, capability_scores, colour)))
     for name, frame in results.frame.groupby("experiment", sort=False):
         experiment = EXPERIMENTS[str(name)]
@@ -222,24 +222,15 @@ def relocations(frame: pd.DataFrame, title: str = "") -> Table:
     return Table(title, "search", [*score, *outcomes, *EFFORT], rows)
 
 
-def _experiments(frame: pd.DataFrame) -> list[str]:
-    """The experiments among the results, in the order of the suite."""
-    return [name for name in EXPERIMENTS if name in set(frame["experiment"])]
-
-
-def _scores_of(frame: pd.DataFrame) -> list[Column]:
-    """A column for each experiment, and one for their mean."""
-    return [Column(name, name, 3, "higher") for name in (*_experiments(frame), "all")]
-
-
 def by_world(frame: pd.DataFrame, key: str = "score") -> pd.DataFrame:
-    """The mean of a number over the levels, with a row for each name and world and a column for each experiment; column
-    `all` is the mean of these. NaN for a world that lacks the number in one level."""
+    """The mean of a number over the levels, with a row for each name and world and a column for each experiment, in the
+    order of the suite; column `all` is the mean of these. NaN for a world that lacks the number in one level."""
     groups = frame.groupby(["experiment", "name", "episode"])[key]
     levels = frame.groupby("experiment")["setting"].nunique()
     counts = groups.count()
     complete = groups.mean().where(counts == counts.index.get_level_values("experiment").map(levels))
-    table = complete.unstack("experiment")[_experiments(frame)]
+    table = complete.unstack("experiment")
+    table = table[[name for name in EXPERIMENTS if name in table]]
     return table.assign(all=table.mean(axis=1, skipna=False))
 
 
