@@ -84,7 +84,7 @@ def evaluate(evaluation: Evaluation, execution: Execution, out: Path, films: Seq
     except KeyboardInterrupt:
         print(f"interrupted; go on with the same command and --resume --output {out}")
         raise
-    from agents.reports.page import page_of, write_report  # matplotlib takes a second to import
+    from agents.reports.pages import page_of, write_report  # matplotlib takes a second to import
 
     report = write_report(out, partial(track, description="report"))
     for table in page_of(results, out).tables:

@@ -26,10 +26,10 @@ def main(
 ) -> None:
     """Evaluate drivers on the same test worlds."""
     from agents.drivers.base import SHOWN
-    from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
+    from agents.evaluation.drives import driver_evaluation, drivers_of
 
     loops, numbers = world.loops(["office"], split="test"), episodes.range(EPISODES)
-    out = execution.folder(world_of(loops[0].plain).split(".")[0])
+    out = execution.folder(loops[0].world.split(".")[0])
     drivers, filmed = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust), []
     evaluation = driver_evaluation(drivers, loops, numbers)
     if films:

@@ -12,7 +12,7 @@ from agents.cli import command
 
 def main(folder: Annotated[Path, Argument(metavar="DIR", help="The folder of an evaluation.")]) -> None:
     """Make the report of an evaluation again."""
-    from agents.reports.page import write_report
+    from agents.reports.pages import write_report
 
     print(write_report(folder))
 

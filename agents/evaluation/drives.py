@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -79,7 +79,7 @@ def driver_evaluation(
     for loop in loops:
         _warm_up(loop, drivers, episodes[0])
     tasks = [
-        Task([Key(driver.agent, world_of(loop.plain), k, driver.model)], partial(drive, driver, loop, None, k))
+        Task([Key(driver.agent, loop.world, k, driver.model)], partial(drive, driver, loop, None, k))
         for loop, k, driver in product(loops, episodes, drivers)
     ]
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
@@ -99,7 +99,7 @@ def _warm_up(loop: ExploreArguments, drivers: Sequence[Driver], episode: int) ->
                 try:
                     agent.act(observation, visible(info))
                 except ValueError as error:
-                    raise ValueError(f"model {driver.model}: does not fit {world_of(loop.plain)}: {error}") from None
+                    raise ValueError(f"model {driver.model}: does not fit {loop.world}: {error}") from None
         env.step(0 if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.sample())
         env.close()
 
@@ -113,12 +113,6 @@ def _describe(model: Path) -> dict[str, Any]:
     except ValueError:  # a trusted file of another format
         return hash_of(model)
     return hash_of(model) | {"training": about.training | {"timesteps": about.timesteps}}
-
-
-def world_of(conditions: Mapping[str, Any]) -> str:
-    """The name of an evaluation's world for titles: the name of the floor plan's file, or of the scenario."""
-    floor: str | None = conditions["floor_plan"]
-    return Path(floor).name if floor else str(conditions["scenario"])
 
 
 def map_path(out: Path, setting: str, name: str) -> Path:
@@ -142,10 +136,9 @@ def associator_evaluation(
     for loop in loops:
         _loop(loop, _agent(fixed_driver).action, associators[0])  # raises for unknown names
     for loop, k, (name, (associator, relocation)) in product(loops, episodes, names.items()):
-        setting = world_of(loop.plain)
-        picture = map_path(out, setting, name) if out and k == episodes[0] else None
+        picture = map_path(out, loop.world, name) if out and k == episodes[0] else None
         call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
-        tasks.append(Task([Key(name, setting, k)], call))
+        tasks.append(Task([Key(name, loop.world, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     conditions = {"driver": driver, "relocation": list(relocations)} | shared
     return Evaluation("associators", tasks, conditions, {"models": models_of(associators)})

@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -46,6 +47,11 @@ class ExploreArguments(_Arguments):
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image
     relocation: str | None = SEARCH  # the search that relocates a lost robot
+
+    @property
+    def world(self) -> str:
+        """The name of its worlds for titles: that of the scenario, or of the file of a floor plan."""
+        return Path(self.floor_plan).name if self.floor_plan else self.scenario
 
     def make(
         self,

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from agents import report
-from agents.reports.page import write_report
+from agents.reports.pages import write_report
 from tests.agents import typed
 from tests.agents.reports import PNG, Page
 
