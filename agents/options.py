@@ -28,6 +28,7 @@ Overrides = Annotated[Names, Option("--set", metavar="NAME=VALUE", help="Change 
 Associators = Annotated[
     Names, Option(metavar="NAME …", help="See slam-gym list associators; or module:function, a model file.")
 ]
+Search = Annotated[str | None, Option(metavar="NAME", help="Search that finds a lost robot, by default gcbb; or none.")]
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,7 @@ class World(Scenes):
     """Scenes, with options for SLAM."""
 
     associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None
-    relocation: Annotated[
-        str | None, Option(metavar="NAME", help="Search that finds a lost robot, by default gcbb; or none.")
-    ] = None
+    relocation: Search = None
 
     def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
         slam = {"associator": self.associator, "relocation": search_of(self.relocation)}

@@ -162,7 +162,7 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
         if count == 0 and not window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
         if count == steps:
-            break
+            return "quit"
         wish = game.controls.poll()
         if wish == "associator":
             game.associators.rotate(-1)
@@ -175,7 +175,6 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
             if ended:
                 verdict = [_verdict(game, world, info)]
                 print(verdict[0])
-    return "quit"
 
 
 def _verdict(game: Game, world: int, info: Info) -> str:

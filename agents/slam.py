@@ -15,7 +15,7 @@ import numpy as np
 from typer import Argument, Option
 
 from agents.cli import command
-from agents.options import search_of
+from agents.options import Search, search_of
 
 if TYPE_CHECKING:
     from slam_gym.recordings import Recording
@@ -42,9 +42,7 @@ def main(
         str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or see slam-gym list recordings.")
     ],
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "marginal",
-    relocation: Annotated[
-        str | None, Option(metavar="NAME", help="Search that finds a lost robot, by default gcbb; or none.")
-    ] = None,
+    relocation: Search = None,
     output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:
     """Map a log: features, path, picture."""

@@ -88,8 +88,8 @@ def drive(count: int, per_map: int | None, seed: int) -> Record:
         step, microseconds = timed(slam.step, Odometry(motion, DRIFT), Scan.from_points(points, sigma=SIGMA), jcbb)
         times.append(microseconds)
         source |= dict(zip(step.ids[step.created].tolist(), seen[step.created].tolist()))
-    maps = [slam.map] if per_map is None else list(slam.maps)
-    bases = [np.zeros(3)] if per_map is None else list(slam.bases)
+    maps = slam.maps
+    bases = [np.zeros(3)] if isinstance(slam, Slam) else slam.bases
     ids = np.concatenate([m.ids for m in maps])
     places = transform(way[0], np.concatenate([transform(base, m.positions) for base, m in zip(bases, maps)]))
     row: Record = {"features": count, "map": "one" if per_map is None else "local", "maps": len(maps)}

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -43,6 +44,9 @@ class Key(NamedTuple):
     setting: str  # scenario, level of the suite or log
     episode: int
     model: str = ""  # file of a learned agent
+
+
+_key = itemgetter(*Key._fields)  # of a row
 
 
 class Task(NamedTuple):
@@ -166,10 +170,6 @@ def _read(folder: Path) -> Results | None:
 def _write_rows(out: Path, rows: Sequence[Record]) -> None:
     cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in row.items()} for row in rows]
     write_whole(out / TABLE, pd.DataFrame(cells).set_index([*Key._fields]).to_csv())
-
-
-def _key(row: Record) -> Key:
-    return Key(*(row[field] for field in Key._fields))
 
 
 def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | None:
