@@ -48,12 +48,8 @@ PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
 
 
-class Place(NamedTuple):
-    """A map with scans to relocate in it."""
-
-    landmarks: Landmarks
-    localities: Mapping[str, Locality | None]
-    scans: Sequence[PlacedScan]
+Place = tuple[Landmarks, Mapping[str, Locality | None], Sequence[PlacedScan]]
+"""A map, its localities by name, and scans to relocate in it."""
 
 
 class HalfMap(NamedTuple):
@@ -88,7 +84,7 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
         "distance": within(slam.map.positions, 2.0 * log.range),
         "everything": None,
     }
-    return Place(slam.map.landmarks(), localities, chosen)
+    return slam.map.landmarks(), localities, chosen
 
 
 def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
@@ -126,12 +122,12 @@ def attempts(place: Place, node_limit: int) -> pd.DataFrame:
     """The results of every search under every locality on every scan, with sizes and without."""
     searches = {search.__name__: functools.partial(search, node_limit=node_limit)
                 for search in (gcbb, random_sampling, indexed)}  # fmt: skip
-    rows = []
-    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), place.localities):
-        landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
-        for scan, pose, inside in place.scans:
+    rows, (landmarks, localities, scans) = [], place
+    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), localities):
+        mapped = landmarks if sizes else without_sizes(landmarks)
+        for scan, pose, inside in scans:
             shown = scan if sizes else without_sizes(scan)
-            answer, record = attempt(search, shown, landmarks, place.localities[locality])
+            answer, record = attempt(search, shown, mapped, localities[locality])
             key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
             rows.append(key | record | {"right": inside and is_right(answer.pose, pose, *NEAR)})
     return pd.DataFrame(rows)

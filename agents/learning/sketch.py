@@ -31,8 +31,6 @@ TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for a corner of a path, without the fi
 REPLAN = 4  # [stretches] between checks of whether the path is still free
 QUARTER = 8  # [ticks] for a quarter of a turn
 
-Policy = Callable[["Sketch"], int]
-
 
 class Sketch:
     """One drive of `budget` ticks, which begins where `episode` begins."""
@@ -147,7 +145,7 @@ class Sketch:
         return np.concatenate([driven[-1:], rest])
 
 
-def missed_by(sketch: Sketch, policy: Policy, first: int) -> float:
+def missed_by(sketch: Sketch, policy: Callable[[Sketch], int], first: int) -> float:
     """The fraction of the features that are not mapped at the end of a drive that continues with the goal `first`, and
     then with those of a policy. The sketch itself does not change."""
     drive = sketch.fork()
