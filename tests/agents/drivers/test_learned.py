@@ -74,9 +74,8 @@ def test_it_drives_by_its_weights_and_the_same_way_each_time(tmp_path):
     shipped = load_driver("driver")
     for sign in (1.0, -1.0):  # whatever they prefer
         turned = {name: sign * shipped.arrays[name] for name in ("greed", "score.weight", "score.bias")}
-        write(tmp_path / "turned.npz", shipped._replace(arrays=shipped.arrays | turned))
-        other = LearnedDriver(tmp_path / "turned.npz")
-        assert (other.act(observation, info) == chosen[0]) == (sign > 0.0)
+        write(tmp_path / "own.npz", shipped._replace(arrays=shipped.arrays | turned))
+        assert (LearnedDriver(tmp_path / "own.npz").act(observation, info) == chosen[0]) == (sign > 0.0)
 
 
 def test_it_looks_around_once_at_a_place_and_goes_back_only_where_no_frontier_is_left():
