@@ -94,3 +94,6 @@ def main(
 
 
 app = command(main, "slam-gym demo --associators jcbb ipjc --output mine.png")
+
+if __name__ == "__main__":
+    app()

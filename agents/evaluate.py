@@ -42,3 +42,6 @@ def main(
 
 
 app = command(main, "slam-gym evaluate --scenario office drift-2 --agents nearest_frontier learned --episodes 10")
+
+if __name__ == "__main__":
+    app()

@@ -116,3 +116,6 @@ def _check_options_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) 
 
 
 app = command(main, "slam-gym evaluate-association --scenario drift-2 --associators jcbb learned --episodes 4")
+
+if __name__ == "__main__":
+    app()

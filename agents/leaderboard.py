@@ -104,3 +104,6 @@ def with_tables(page: str, tables: str) -> str:
 
 
 app = command(main, "slam-gym leaderboard --entry jcbb --quick")
+
+if __name__ == "__main__":
+    app()

@@ -220,3 +220,6 @@ def main(
 
 
 app = command(main, "slam-gym play --scenario office-small --associator jcbb")
+
+if __name__ == "__main__":
+    app()

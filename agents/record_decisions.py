@@ -92,3 +92,6 @@ def main(
 
 
 app = command(main, "slam-gym record-decisions --scenario drift-2 --associator learned --episodes 20")
+
+if __name__ == "__main__":
+    app()

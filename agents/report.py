@@ -18,3 +18,6 @@ def main(folder: Annotated[Path, Argument(metavar="DIR", help="The folder of an 
 
 
 app = command(main, "slam-gym report results/office-20260101-120000")
+
+if __name__ == "__main__":
+    app()

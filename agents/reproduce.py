@@ -57,3 +57,6 @@ def compared(trained: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str
 
 
 app = command(main, "slam-gym reproduce associator --quick")
+
+if __name__ == "__main__":
+    app()

@@ -63,3 +63,6 @@ def associate(
 
 app = command(drive, "slam-gym train drive --scenario office-small --timesteps 50000 --output runs/mine", "drive")
 command(associate, "slam-gym train associate --quick --output runs/mine", "associate", app)
+
+if __name__ == "__main__":
+    app()

@@ -3,9 +3,10 @@
 Seven scenarios × JCBB, the learned associator and true association, driven by information gain, with relocation (gcbb)
 and the atlas: the conditions of the headline table. The map of the filter is compared with that of batch least squares
 with the same pairings, the maximum-likelihood map for them. A drive is sound if its map has an aligned error of at most
-0.5 and at most ten duplicates.
+0.5 and at most ten duplicates. With `--compare OLD.csv`, a second table contains the paired differences NEW − OLD over
+common worlds, with 95 % bootstrap intervals of their mean.
 
-    python benchmarks/drift_reference.py --out new.csv    # some ten minutes on two idle cores
+    python benchmarks/drift_reference.py --out new.csv [--compare old.csv]    # some ten minutes on two idle cores
 
 Rows that are in the CSV already are not driven again. `--quick` drives 60 ticks of one world and writes nothing.
 """
@@ -28,6 +29,7 @@ from benchmarks.common import Record, options, table
 from slam_gym import Odometry, Scan, smooth
 from slam_gym.geometry import transform
 from slam_gym.metrics.map_quality import map_error, map_error_aligned
+from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 
@@ -93,8 +95,28 @@ def sound(rows: pd.DataFrame) -> str:
     return f"{good.sum()} of {len(rows)}"
 
 
+def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
+    """Mean paired differences NEW − OLD with their intervals, by scenario and associator, and over all scenarios."""
+    pairs = new.merge(old, on=KEYS, suffixes=(" new", " old"))
+    groups = [*pairs.groupby(["associator", "scenario"], sort=False)]
+    groups += [((name, "all"), group) for name, group in pairs.groupby("associator", sort=False)]
+    rows = []
+    for (associator, scenario), group in groups:
+        row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
+        for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
+            now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
+            both = (now - before)[np.isfinite(now - before)]  # without drives that have no batch solution
+            gap = bootstrap_interval(both, np.random.default_rng(0), statistic=mean)
+            row[name] = f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
+            row["equal"] = row.get("equal", True) & np.isclose(now, before, rtol=0.0, atol=0.0, equal_nan=True)
+        row["equal"] = int(row["equal"].sum())
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
 def main() -> None:
-    a = options(__doc__, out="drift_reference.csv", scenarios=SCENARIOS, associators=ASSOCIATORS, worlds=10, jobs=2)
+    a = options(__doc__, out="drift_reference.csv", compare="", scenarios=SCENARIOS, associators=ASSOCIATORS,
+                worlds=10, jobs=2)  # fmt: skip
     if a.quick:
         print(drive(("drift-2", "jcbb", 0), budget=60))
         return
@@ -102,6 +124,8 @@ def main() -> None:
     groups = results.groupby(KEYS[:2], sort=False)
     means = groups[MEASURES].mean().round(3).join(groups.apply(sound).rename("sound"))
     table("Means over the worlds", means.reset_index())
+    if a.compare:
+        table(f"{a.out} − {a.compare}", differences(results, pd.read_csv(a.compare)))
 
 
 if __name__ == "__main__":

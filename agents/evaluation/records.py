@@ -81,7 +81,9 @@ def plain(value: Any) -> Any:
 
 def command_line() -> str:
     """The running command as a user types it: `slam-gym train …`."""
-    return shlex.join(["slam-gym", *sys.argv[1:]])
+    program = Path(sys.argv[0])
+    command = [] if program.stem in ("slam-gym", "__main__") else [program.stem.replace("_", "-")]
+    return shlex.join(["slam-gym", *command, *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:
