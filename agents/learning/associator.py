@@ -90,7 +90,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         "scans": figure([float(len(train))]),
     }
     with contextlib.suppress(ValueError):  # weights that ship may be made for other inputs
-        shipped = tensors(load_network(WEIGHTS, VERSION, INPUTS))
+        shipped = tensors(load_network(WEIGHTS))
         metrics["cross-entropy held out, the weights that ship"] = figure([mean_loss(shipped, held_out)])
     names = tuple(dict.fromkeys(source.title for source in trained_on))
     card = Card(VERSION, INPUTS, {}, names, tuple(plan.seeds), command, metrics)
