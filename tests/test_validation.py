@@ -19,7 +19,6 @@ from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import UNPAIRED, Beams, Effort, Hypothesis, Locality, Odometry, Scan
 from slam_gym.validation import LIMITS, check_hypothesis, check_scan, one_of
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
-from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 
 
@@ -227,7 +226,6 @@ def test_who_needs_more_raises_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- arrays for compiled functions ------------------------------------------------------------------------------------
 
 NO_BEAMS = Beams(np.zeros(4), np.ones(4), 6.0)
-CORRIDOR = WallIndex(np.array([[0.0, 0.0, 9.0, 0.0]]))
 
 
 @pytest.mark.parametrize(
@@ -237,8 +235,6 @@ CORRIDOR = WallIndex(np.array([[0.0, 0.0, 9.0, 0.0]]))
         (lambda: Odometry(np.zeros(3), np.zeros((2, 2))), r"Odometry.covariance: shape \(2, 2\)"),
         (lambda: Beams(np.zeros(4), np.ones(2), 6.0), r"Beams.ranges: shape \(2,\), expected \(4,\)"),
         (lambda: Locality(np.zeros(3), np.zeros(0, np.int64)), "Locality.starts: float64, expected an array of int64"),
-        (lambda: CORRIDOR.cast(np.zeros(1), np.zeros(3), 5.0), r"origin: shape \(1,\), expected \(2,\)"),
-        (lambda: CORRIDOR.visible(np.zeros(2), np.zeros((5, 2)), np.zeros(1)), r"pull_back: shape \(1,\)"),
         (lambda: ExploredGrid(np.ones(4) * [-1, -1, 1, 1]).integrate(np.zeros(1), NO_BEAMS), r"pose: expected \(3,\)"),
     ],
 )

@@ -23,7 +23,7 @@ from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import WORTH_SEEING, Places, Tried, propose
 from slam_gym.types import Array, BoolArray
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import wall_index
 from slam_gym.world.sensor import Sensor
 
 STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
@@ -38,7 +38,7 @@ class Sketch:
     def __init__(self, episode: Episode, budget: int) -> None:
         self.budget, self.ticks = budget, 0
         self._begun, scenario, plan = episode, episode.scenario, episode.site.plan
-        walls = WallIndex(np.concatenate([plan.walls, episode.world.furniture_segments]))
+        walls = wall_index(np.concatenate([plan.walls, episode.world.furniture_segments]))
         perfect = replace(scenario.sensor, detection=1.0, clutter=0.0, max_features=len(plan.features))
         self._sensor = Sensor(plan, walls, perfect, replace(scenario.beams, sigma=0.0))
         self._noise = np.random.default_rng(0)  # of the measured positions, which are not used

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
-from slam_gym.geometry import compose, compose_jacobians, observe, transform
+from slam_gym.geometry import compose, compose_jacobians, observe, relative, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.consistency import error_of_pose
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -31,7 +31,7 @@ from slam_gym.slam.slam import Slam
 from slam_gym.types import Array, BoolArray, Hypothesis, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import Packed, wall_index
 from slam_gym.world.reachability import free_start, observable, reachable
 from slam_gym.world.sensor import Sensor
 
@@ -44,14 +44,14 @@ class Site:
     """A floor plan with its wall index, the cells that the robot can reach, and the features that it can see there."""
 
     plan: FloorPlan
-    index: WallIndex
+    index: Packed  # of its walls
     cells: Array  # (c, 2) [m] centres of the reachable cells, in W
     observable: BoolArray  # (N,) whether each feature can be seen from one of these cells
 
 
 def survey(plan: FloorPlan, scenario: Scenario) -> Site:
     """Compute the reachable cells and observable features of a plan. Raises ValueError if there are none of either."""
-    index = WallIndex(plan.walls)
+    index = wall_index(plan.walls)
     cells = reachable(plan, scenario.robot.radius)
     if len(cells) == 0:
         raise ValueError(f"floor plan {plan.name!r}: no free space for a robot of radius {scenario.robot.radius} m")
@@ -167,7 +167,7 @@ class Episode:
     def _log(self, true_pose: Array) -> None:
         """Record the estimated pose and its error."""
         slam, estimate = self.slam, self.slam.map.pose
-        nees = error_of_pose(*slam.map.arrays[:2], self.base, true_pose)
+        nees = pose_nees(estimate, slam.map.pose_covariance, relative(self.base, true_pose))
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.ticks += 1

@@ -113,12 +113,9 @@ class Draft:
                 self.furniture.append((*place, length, width, heading))
 
     def _place(self, floor: Rectangle, radius: float, clearance: float) -> tuple[float, float] | None:
-        """A place in a room for an object of `radius` [m] at least `clearance` [m] from the walls, or None.
-
-        A room that is too narrow for a passage on either side of the object, such as a corridor, has no place for it.
-        """
+        """A place in a room for an object of `radius` [m] at least `clearance` [m] from the walls, or None."""
         margin = radius + clearance
-        if min(floor.sides) < 2 * (radius + _PASSAGE):
+        if min(floor.sides) < 2 * (radius + _PASSAGE):  # no passage on either side of it, as in a corridor
             return None
         for _ in range(_TRIES):
             x = draw(self.rng, (floor.x1 + margin, floor.x2 - margin))
@@ -192,10 +189,7 @@ def _covered(rectangles: Array, xs: Array, ys: Array) -> BoolArray:
 
 
 def _runs(edges: BoolArray, corners: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Maximal runs of wall along the grid lines, cut at corners: the line, first and last grid point of each, (s,).
-
-    `edges` (lines, cells) says where a line separates free from blocked, `corners` (lines, cells + 1) where it turns.
-    """
+    """Maximal runs of `edges` (lines, cells), cut at `corners` (lines, cells + 1): line, first and last corner (s,)."""
     joined = np.pad(edges, ((0, 0), (1, 1)))
     lines, first = np.nonzero(joined[:, 1:] & (~joined[:, :-1] | corners))
     _, last = np.nonzero(joined[:, :-1] & (~joined[:, 1:] | corners))

@@ -5,7 +5,6 @@ A plan is checked when it is built: its numbers are finite, its sizes are within
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -181,7 +180,3 @@ def _set(record: object, **fields: object) -> None:
     """Assign the checked values to fields of a frozen record that is still being built."""
     for name, value in fields.items():
         object.__setattr__(record, name, value)
-
-
-Generator = Callable[[np.random.Generator], FloorPlan]
-"""A function that draws a floor plan. The same state of the random generator gives the same plan."""

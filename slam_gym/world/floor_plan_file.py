@@ -95,6 +95,8 @@ def _parse(path: Path) -> FloorPlan:
     if unknown := [f"features[{i}].kind" for i, kind in enumerate(names) if kind not in known]:
         raise FloorPlanError(unknown[0], f"known are {', '.join(known)}")
     places, *measures = _columns("furniture", furniture, ("position", "length", "width", "heading"))
+    boxes = [checked_array("furniture: position", places, 2)]
+    boxes += [checked_array("furniture: sizes", measure) for measure in measures]
     return FloorPlan(
         _text("name", name),
         walls,
@@ -108,12 +110,7 @@ def _parse(path: Path) -> FloorPlan:
             Door(position, width, _pair(joined))
             for position, width, joined in zip(*_columns("doors", doors, ("position", "width", "rooms")))
         ),
-        np.column_stack(
-            [
-                checked_array("furniture: position", places, 2),
-                *(checked_array("furniture: sizes", measure) for measure in measures),
-            ]
-        ),
+        np.column_stack(boxes),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Grid, Movers, Packed, WallIndex, box_distance, outlines, sees
+from slam_gym.world.ray_casting import Grid, Packed, box_distance, outlines, sees, wall_index
 from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
@@ -51,7 +51,7 @@ class People:
         self._timers = np.zeros((count, 2))  # [s] rest that is left, time waited
         if count:
             obstructed = replace(plan, walls=np.vstack([plan.walls, outlines(plan.furniture)]))
-            self._walls = WallIndex(obstructed.walls).packed
+            self._walls = wall_index(obstructed.walls)
             self._cells = free_cells(obstructed, radius + _CLEARANCE)
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
@@ -61,8 +61,7 @@ class People:
         if len(self.discs) == 0:
             return
         crowd = (self.discs, self.velocities, self._paths, self._ahead, self._passed, self._timers)
-        idle = _walk(tick, self._speed, self._keep, robot, furniture, crowd)
-        if idle:
+        if _walk(tick, self._speed, self._keep, robot, furniture, crowd):
             for person in np.flatnonzero(self._ahead[:, 0] >= self._ahead[:, 1]):
                 self._plan_stroll(int(person), rng)
 
@@ -140,10 +139,7 @@ def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furnitu
 
 @compiled
 def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, choice: float) -> Array:
-    """A path (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of the cells in reach.
-
-    `choice` in [0, 1) selects the destination.
-    """
+    """A path (q, 2) [m] over free cells from `place` (2,) to one of the farther half in reach: number `choice` < 1."""
     rows, columns = free.shape
     start = round((place[1] - origin[1]) / cell) * columns + round((place[0] - origin[0]) / cell)
     parents, steps = np.zeros(rows * columns, np.int64), np.zeros(rows * columns, np.int64)
@@ -188,9 +184,9 @@ def _straighten(packed: Packed, path: Array, radius: float, waypoints: Array) ->
 def _passable(grid: Grid, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
     """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free."""
     dx, dy = x2 - x1, y2 - y1
-    length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), np.empty((0, 4)))
+    length, nothing = math.hypot(dx, dy), (np.empty((0, 3)), np.empty((0, 4)))
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
-        if not sees(grid, movers, x, y, dx, dy, 0.0):
+        if not sees(grid, nothing, x, y, dx, dy, 0.0):
             return False
     return True

@@ -19,7 +19,7 @@ from slam_gym.types import Array
 from slam_gym.validation import check_settings
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
-from slam_gym.world.ray_casting import NO_DISCS, outlines
+from slam_gym.world.ray_casting import outlines
 
 _GRAVITY = 9.81  # [m/s²]
 _OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
@@ -125,21 +125,14 @@ class _Wheels:
 class World:
     """A physical world of `plan` with the robot at `start` (3,) W; `rng` draws where people stand and walk.
 
-    Raises ValueError where `start` is not finite or the plan has no room for so many people.
+    Raises ValueError where the plan has no room for so many people.
     """
 
     def __init__(
-        self,
-        plan: FloorPlan,
-        start: Array,
-        robot: RobotSpec,
-        dynamics: DynamicsSpec,
-        rng: np.random.Generator,
+        self, plan: FloorPlan, start: Array, robot: RobotSpec, dynamics: DynamicsSpec, rng: np.random.Generator
     ) -> None:
-        if np.shape(start) != (3,) or not np.isfinite(start).all():
-            raise ValueError(f"start must be a finite pose (3,), not {start}")
         self.robot, self.dynamics, self._rng = robot, dynamics, rng
-        self._step = self.dynamics.tick / self.dynamics.substeps
+        self._step = dynamics.tick / dynamics.substeps
         self._contacts = _Contacts()
         self._space = _empty_space(self._step, self._contacts)
         self._add_walls(plan.walls)
@@ -149,22 +142,16 @@ class World:
         self._body = self._add_robot(start)
         self._wheels = _Wheels(robot, self._body, self._step)
         self._update_pose()
-        keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
+        keep = robot.radius + robot.max_speed * dynamics.tick + 0.05
         self._people = People(
-            plan,
-            self.dynamics.people,
-            self.dynamics.person_radius,
-            self.dynamics.person_speed,
-            keep,
-            start[:2],
-            self._rng,
+            plan, dynamics.people, dynamics.person_radius, dynamics.person_speed, keep, start[:2], rng
         )
         self._walkers = [self._add_person(disc) for disc in self._people.discs]
 
     @property
     def people(self) -> Array:
         """(p, 3) [m] `x y radius` W, a copy."""
-        return self._people.discs.copy() if self._walkers else NO_DISCS
+        return self._people.discs.copy()
 
     def tick(self, forward: float, turn: float) -> Motion:
         """Drive for one tick at these fractions of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
@@ -191,9 +178,7 @@ class World:
         self.pose = np.array([x, y, wrap_angle(self._body.angle)])  # (3,) [m, m, rad] W
 
     def place(self, pose: Array) -> None:
-        """Put the robot at `pose` (3,) W, at rest. Raises ValueError where `pose` is not finite."""
-        if np.shape(pose) != (3,) or not np.isfinite(pose).all():
-            raise ValueError(f"pose must be a finite pose (3,), not {pose}")
+        """Put the robot at `pose` (3,) W, at rest."""
         body, (x, y, heading) = self._body, pose.tolist()
         body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (0.0, 0.0), 0.0
         self._space.reindex_shapes_for_body(body)

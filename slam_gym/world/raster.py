@@ -343,11 +343,11 @@ def corners(ring: Array) -> tuple[Array, Array]:
     return ring[sharp][kept], np.minimum(edges, np.roll(edges, 1))[sharp][kept]
 
 
-def thinned(points: Array, weights: Array, distance: float = _MIN_DISTANCE) -> IntArray:
-    """Indices, in order, of `points` (n, 2) [m] chosen by falling weight so that no two are closer than `distance`."""
+def thinned(points: Array, weights: Array) -> IntArray:
+    """Indices, in order, of `points` (n, 2) [m] chosen by falling weight so that no two are closer than 0.3 m."""
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
-    near = cKDTree(points).query_ball_point(points, distance * (1.0 - 1e-9))
+    near = cKDTree(points).query_ball_point(points, _MIN_DISTANCE * (1.0 - 1e-9))
     dropped = np.zeros(len(points), dtype=bool)
     for i in np.argsort(-weights, kind="stable"):
         if not dropped[i]:

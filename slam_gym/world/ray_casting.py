@@ -16,14 +16,16 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.types._fields import floats
 from slam_gym.world.floor_plan import Features, Kind
 
 _PADDING = 1e-6  # [cells] a wall is listed in every cell this close to it, against rounding at the borders
 _MAX_CELLS = 1 << 20  # cells grow where a building needs more
 
-NO_DISCS: Array = np.empty((0, 3))
-NO_SEGMENTS: Array = np.empty((0, 4))
+Moving = tuple[Array, Array]
+"""Objects that move: discs (d, 3) [m] x y radius, and segments (o, 4) [m] x1 y1 x2 y2."""
+
+NO_DISCS, NO_SEGMENTS = np.empty((0, 3)), np.empty((0, 4))
+NOTHING: Moving = (NO_DISCS, NO_SEGMENTS)
 
 _SURFACE = 1e-3  # [m] a line of sight ends this far before a feature, so that the walls of a corner do not hide it
 
@@ -45,64 +47,18 @@ Packed = tuple[Array, IntArray, IntArray, float, float, float, int, int]
 """A `Grid` as a plain tuple, which crosses from Python to compiled functions in 0.5 µs; a named tuple takes 3 µs."""
 
 
-class Movers(NamedTuple):
-    """Objects that move."""
+def wall_index(walls: Array, cell: float = 1.0) -> Packed:
+    """Static walls (s, 4) [m] x1 y1 x2 y2, indexed once for many ranges and lines of sight.
 
-    discs: Array  # (d, 3) [m] x y radius
-    segments: Array  # (o, 4) [m] x1 y1 x2 y2
-
-
-class WallIndex:
-    """Static walls, indexed once for many ranges and lines of sight.
-
-    `walls` (s, 4) [m] are segments `x1 y1 x2 y2` in any frame; all arguments and results are in the same frame. `cell`
-    [m] is the side of the grid's cells, doubled until a million of them suffice. Raises ValueError where `walls` is not
-    finite or has another shape, or `cell` is not positive.
+    `cell` [m] is the side of the grid's cells, doubled until a million of them suffice.
     """
-
-    packed: Packed  # of the `Grid`
-
-    def __init__(self, walls: Array, cell: float = 1.0) -> None:
-        walls = np.array(walls, dtype=np.float64, order="C")
-        if walls.ndim != 2 or walls.shape[1] != 4:
-            raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
-        if not np.isfinite(walls).all():
-            raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
-        if not (math.isfinite(cell) and cell > 0.0):
-            raise ValueError(f"cell must be a positive length [m], not {cell}")
-        ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
-        low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
-        while np.prod(extent // cell + 1.0) > _MAX_CELLS:
-            cell *= 2.0
-        columns, rows = (extent // cell).astype(int) + 1
-        starts, members = _enter_walls(walls, low, cell, columns, rows)
-        self.packed = walls, starts, members, float(low[0]), float(low[1]), float(cell), int(columns), int(rows)
-
-    def cast(
-        self, origin: Array, angles: Array, max_range: float, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
-    ) -> Array:
-        """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`.
-
-        `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc that contains the
-        origin stops no ray.
-        """
-        origin, angles = floats("origin", origin, (2,)), floats("angles", angles, (-1,))
-        return cast(self.packed, origin, angles, float(max_range), _movers(discs, segments))
-
-    def visible(
-        self, origin: Array, targets: Array, pull_back: Array, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
-    ) -> BoolArray:
-        """(k,) whether nothing stands between `origin` (2,) and each of `targets` (k, 2).
-
-        A line of sight ends `pull_back` (k,) [m] short of its target, outside the object whose position it is.
-        """
-        origin, targets = floats("origin", origin, (2,)), floats("targets", targets, (-1, 2))
-        pull_back = floats("pull_back", pull_back, (len(targets),))
-        return seen_from(self.packed, origin[None], targets, pull_back, math.inf, _movers(discs, segments))
-
-
-def _movers(discs: Array, segments: Array) -> tuple[Array, Array]:
-    return floats("discs", discs, (-1, 3)), floats("segments", segments, (-1, 4))
+    ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
+    low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
+    while np.prod(extent // cell + 1.0) > _MAX_CELLS:
+        cell *= 2.0
+    columns, rows = (extent // cell).astype(int) + 1
+    starts, members = _enter_walls(walls, low, cell, columns, rows)
+    return walls, starts, members, float(low[0]), float(low[1]), cell, int(columns), int(rows)
 
 
 def pull_back(features: Features) -> Array:
@@ -226,53 +182,56 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
 
 
 @compiled
-def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> float:
+def _mover_hit(x: float, y: float, dx: float, dy: float, moving: Moving) -> float:
     """As `_wall_hit`, for moving objects. A disc that contains (x, y) is not met."""
-    nearest = math.inf
-    for d in range(movers.discs.shape[0]):
-        cx, cy, radius = x - movers.discs[d, 0], y - movers.discs[d, 1], movers.discs[d, 2]
+    nearest, (discs, segments) = math.inf, moving
+    for d in range(discs.shape[0]):
+        cx, cy, radius = x - discs[d, 0], y - discs[d, 1], discs[d, 2]
         a, b, c = dx * dx + dy * dy, dx * cx + dy * cy, cx * cx + cy * cy - radius * radius
         root = b * b - a * c
         if root >= 0.0:
             t = (-b - math.sqrt(root)) / a
             if 0.0 <= t <= 1.0:
                 nearest = min(nearest, t)
-    for s in range(movers.segments.shape[0]):
-        nearest = min(nearest, _segment_hit(x, y, dx, dy, movers.segments, s))
+    for s in range(segments.shape[0]):
+        nearest = min(nearest, _segment_hit(x, y, dx, dy, segments, s))
     return nearest
 
 
 @compiled
-def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
+def sees(grid: Grid, moving: Moving, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
     """Whether nothing stands between (x, y) and the point `pull_back` [m] short of (x, y) + (dx, dy)."""
     distance = math.hypot(dx, dy)
     fraction = 1.0 - pull_back / distance if distance > pull_back else 0.0
     dx, dy = fraction * dx, fraction * dy
-    return _mover_hit(x, y, dx, dy, movers) == math.inf and _wall_hit(grid, x, y, dx, dy) == math.inf
+    return _mover_hit(x, y, dx, dy, moving) == math.inf and _wall_hit(grid, x, y, dx, dy) == math.inf
 
 
 @compiled
-def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving: tuple[Array, Array]) -> Array:
-    """See `WallIndex.cast`; `moving` are the arrays of `Movers`."""
-    grid, movers, x, y = Grid(*packed), Movers(*moving), origin[0], origin[1]
+def cast(walls: Packed, origin: Array, angles: Array, max_range: float, moving: Moving) -> Array:
+    """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`."""
+    grid, x, y = Grid(*walls), origin[0], origin[1]
     ranges = np.empty(angles.shape[0])
     for b in range(angles.shape[0]):
         dx, dy = max_range * math.cos(angles[b]), max_range * math.sin(angles[b])
-        t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, movers))
+        t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, moving))
         ranges[b] = max_range * min(t, 1.0)
     return ranges
 
 
 @compiled
 def seen_from(
-    packed: Packed, places: Array, targets: Array, pull_back: Array, reach: float, moving: tuple[Array, Array]
+    walls: Packed, places: Array, targets: Array, pull_back: Array, reach: float, moving: Moving
 ) -> BoolArray:
-    """(k,) whether one of `places` (c, 2) sees each of `targets` (k, 2) within `reach` [m]; see `WallIndex.visible`."""
-    grid, movers, seen = Grid(*packed), Movers(*moving), np.zeros(targets.shape[0], np.bool_)
+    """(k,) whether one of `places` (c, 2) sees each of `targets` (k, 2) within `reach` [m], with nothing in between.
+
+    A line of sight ends `pull_back` (k,) [m] short of its target, outside the object whose position it is.
+    """
+    grid, seen = Grid(*walls), np.zeros(targets.shape[0], np.bool_)
     for i in range(targets.shape[0]):
         for c in range(places.shape[0]):
             x, y, dx, dy = places[c, 0], places[c, 1], targets[i, 0] - places[c, 0], targets[i, 1] - places[c, 1]
-            if dx * dx + dy * dy <= reach * reach and sees(grid, movers, x, y, dx, dy, pull_back[i]):
+            if dx * dx + dy * dy <= reach * reach and sees(grid, moving, x, y, dx, dy, pull_back[i]):
                 seen[i] = True
                 break
     return seen

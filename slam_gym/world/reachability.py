@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, box_distance, pull_back, seen_from
+from slam_gym.world.ray_casting import NOTHING, Packed, box_distance, pull_back, seen_from
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 
@@ -33,11 +33,8 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25) -> FreeCells:
     """Cells with no wall of `plan` within `radius` [m] of their centres.
 
     The side `cell` [m] is reduced where a wall could otherwise lie between two free centres, so that a disc of this
-    radius can move straight between any two free cells that share a side. Raises ValueError unless both lengths are
-    positive.
+    radius can move straight between any two free cells that share a side.
     """
-    if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
-        raise ValueError(f"radius and cell must be positive lengths [m], not {radius} and {cell}")
     cell = min(cell, 1.9 * radius)
     origin = plan.bounds[:2] - 1.5 * cell
     columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
@@ -58,8 +55,7 @@ def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
 
     Cells are connected through their sides. The size of a part is the number of its cells within rooms, so that the
     open ground around a building is never chosen; where a plan names no rooms, every part but the ground around it
-    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free. Raises
-    ValueError unless both lengths [m] are positive.
+    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free.
     """
     return indoor(plan, free_cells(plan, radius, cell))
 
@@ -80,14 +76,13 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> Array:
     return largest
 
 
-def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float) -> BoolArray:
+def observable(plan: FloorPlan, walls: Packed, cells: Array, max_range: float) -> BoolArray:
     """(N,) whether each feature of the plan is seen from one of `cells` (c, 2) [m] within `max_range` [m].
 
     Only walls hide features here, since furniture and people move.
     """
     features = plan.features
-    cells, nothing = np.ascontiguousarray(cells), (NO_DISCS, NO_SEGMENTS)
-    return seen_from(index.packed, cells, features.positions, pull_back(features), max_range, nothing)
+    return seen_from(walls, np.ascontiguousarray(cells), features.positions, pull_back(features), max_range, NOTHING)
 
 
 def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator) -> Array:

@@ -7,7 +7,8 @@ covariance J diag(σ_r², σ_β²) Jᵀ of the polar-to-Cartesian map at the mea
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from collections import namedtuple
+from dataclasses import astuple, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,20 +16,9 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
-from slam_gym.types._fields import compiled_form
 from slam_gym.validation import check_settings
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import (
-    NO_DISCS,
-    NO_SEGMENTS,
-    Grid,
-    Movers,
-    Packed,
-    WallIndex,
-    cast,
-    pull_back,
-    sees,
-)
+from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, Grid, Moving, Packed, cast, pull_back, sees
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
@@ -100,14 +90,14 @@ class OdometrySpec:
 class Sensor:
     """All senses of a robot in one floor plan. It has no state but the plan; noise comes from the generator passed in.
 
-    `index` holds the plan's walls. Poses (3,) are true poses in W. Moving objects are passed to each call: `people`
-    (p, 3) [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
+    `walls` are the plan's, as `wall_index` returns them. Poses (3,) are true poses in W. Moving objects are passed to
+    each call: `people` (p, 3) [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
     """
 
     def __init__(
         self,
         plan: FloorPlan,
-        index: WallIndex,
+        walls: Packed,
         sensor: SensorSpec | None = None,
         beams: BeamSpec | None = None,
         odometry: OdometrySpec | None = None,
@@ -118,7 +108,7 @@ class Sensor:
         self._settings = tuple(map(float, astuple(self.spec)))
         self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
         self._wheels = tuple(map(float, astuple(self.odometry_spec)))
-        self._walls = index.packed
+        self._walls = walls
         self._features = plan.features
         self._targets = plan.features.positions, pull_back(plan.features)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
@@ -165,13 +155,11 @@ class Sensor:
         return Odometry(out[0], out[1:])
 
 
-_Settings = compiled_form("_Settings", SensorSpec)
-_Wheels = compiled_form("_Wheels", OdometrySpec)
+_named: Any = namedtuple  # compiled functions read the values of a specification by name
+_Settings = _named("_Settings", [field.name for field in fields(SensorSpec)])
+_Wheels = _named("_Wheels", [field.name for field in fields(OdometrySpec)])
 _Values = tuple[float, ...]
 """The values of a specification, as a plain tuple, which crosses from Python to compiled functions faster."""
-
-_Moving = tuple[Array, Array]
-"""`Movers`, as a plain tuple."""
 
 _Seen = tuple[Array, IntArray]
 """True ranges and bearings (k, 2) [m, rad] of what is in sight, and its sources (k,)."""
@@ -181,11 +169,11 @@ _Measured = tuple[Array, Array, Array, Array, IntArray]
 
 
 @compiled
-def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving: _Moving, packed: _Values) -> _Seen:
+def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving: Moving, packed: _Values) -> _Seen:
     """The features (positions and pull-backs) and people (at their near side) that are in sight."""
     grid, settings, (positions, pull_backs) = Grid(*walls), _Settings(*packed), features
     x, y = pose[0], pose[1]
-    people, movers = moving[0], Movers(*moving)
+    people = moving[0]
     k, most = 0, positions.shape[0] + people.shape[0]
     polar, sources = np.empty((most, 2)), np.empty(most, np.int64)
     for i in range(most):
@@ -204,7 +192,7 @@ def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving:
         bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
         if abs(bearing) > 0.5 * settings.field_of_view:
             continue
-        if not sees(grid, movers, x, y, dx, dy, short):
+        if not sees(grid, moving, x, y, dx, dy, short):
             continue
         polar[k, 0], polar[k, 1] = distance, bearing
         sources[k] = i if person < 0 else SPURIOUS
@@ -218,15 +206,11 @@ def _measure(
     pose: Array,
     seen: _Seen,
     sizes: Array,
-    moving: _Moving,
+    moving: Moving,
     noise: tuple[Array, Array],
     packed: _Values,
 ) -> _Measured:
-    """A scan of what is `seen`, and of clutter.
-
-    `sizes` are the sizes of all features, from which sizes of spurious measurements are drawn. `noise` are uniform and
-    normal random numbers (n, 3), a row of each for everything in sight and for each piece of clutter.
-    """
+    """A scan of what is `seen`, then of clutter, with a row of uniform and one of normal `noise` (n, 3) for each."""
     settings, (polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
     draws = len(uniform)
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
@@ -275,13 +259,10 @@ def _nearest(measured: Array, origins: IntArray, count: int, settings: Any) -> _
 
 @compiled
 def _sweep(
-    walls: Packed, pose: Array, bearings: Array, moving: _Moving, noise: Array, finder: tuple[float, float]
+    walls: Packed, pose: Array, bearings: Array, moving: Moving, noise: Array, range_and_sigma: tuple[float, float]
 ) -> Array:
-    """Ranges (b,) [m] of beams, clipped to [0, reach], with noise where something was hit.
-
-    `finder` are the range and sigma [m] of a `BeamSpec`, `noise` (b,) normal random numbers.
-    """
-    reach, sigma = finder
+    """Ranges (b,) [m] of beams, clipped to [0, reach], with noise where something was hit."""
+    reach, sigma = range_and_sigma
     ranges = cast(walls, pose, pose[2] + bearings, reach, moving)
     for b in range(len(ranges)):
         if ranges[b] < reach:
@@ -291,10 +272,7 @@ def _sweep(
 
 @compiled
 def _report(packed: _Values, wheels: Array, contact: bool, noise: Array, out: Array) -> None:
-    """Write the odometry of one tick to `out` (4, 3): the motion and the rows of its covariance.
-
-    `wheels` (3,) is the motion by the wheels, `noise` (3,) are normal random numbers.
-    """
+    """Write the odometry of one tick to `out` (4, 3): the motion and the rows of its covariance."""
     spec, dx, dy, turn = _Wheels(*packed), wheels[0], wheels[1], wheels[2]
     distance = math.hypot(dx, dy)
     forward = spec.floor**2 + spec.forward**2 * distance

@@ -8,29 +8,29 @@ import pytest
 from slam_gym.geometry import compose
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.types import Array, Beams, Odometry
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import NOTHING, Packed, cast, wall_index
 
 BEARINGS = np.linspace(-math.pi, math.pi, 90, endpoint=False)
 REACH, SIGMA = 20.0, 0.03
 WHEELS = np.array([0.009, 0.003, 0.008])
 
 
-def box(length: float, width: float) -> WallIndex:
+def box(length: float, width: float) -> Packed:
     x, y = length / 2, width / 2
     corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-    return WallIndex(np.hstack([corners, np.roll(corners, -1, axis=0)]))
+    return wall_index(np.hstack([corners, np.roll(corners, -1, axis=0)]))
 
 
 HALL, ENDLESS = box(24.0, 9.0), box(400.0, 9.0)
 
 
-def sweep(walls: WallIndex, pose: Array, rng: np.random.Generator) -> Beams:
-    ranges = walls.cast(pose[:2], pose[2] + BEARINGS, REACH)
+def sweep(walls: Packed, pose: Array, rng: np.random.Generator) -> Beams:
+    ranges = cast(walls, pose[:2], pose[2] + BEARINGS, REACH, NOTHING)
     noisy = np.where(ranges < REACH, np.minimum(ranges + SIGMA * rng.standard_normal(len(ranges)), REACH), REACH)
     return Beams(BEARINGS, noisy, REACH)
 
 
-def drive(walls: WallIndex, start: Array, motion: Array, ticks: int, seed: int) -> tuple[Array, Array, Array]:
+def drive(walls: Packed, start: Array, motion: Array, ticks: int, seed: int) -> tuple[Array, Array, Array]:
     """Errors of the corrected motions (t, 3), their covariances (t, 3, 3) and the errors of the wheels (t, 3)."""
     rng, compass, pose = np.random.default_rng(seed), WallCompass(SIGMA), start
     compass.corrected(Odometry(np.zeros(3), np.diag(WHEELS**2)), sweep(walls, pose, rng))

@@ -17,6 +17,7 @@ from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.physics import Motion
+from slam_gym.world.ray_casting import NOTHING, seen_from
 from slam_gym.world.sensor import OdometrySpec, Sensor
 from tests.recordings.test_recording import by_hand
 from tests.scenarios.test_scenario import assert_frozen
@@ -163,7 +164,7 @@ def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
     centres = np.array([room.polygon.mean(axis=0) for room in plan.rooms])
     gaps = np.hypot(*(centres[:, None] - centres[None]).T)
     assert gaps[~np.eye(4, dtype=bool)].min() > scenario.sensor.range
-    assert not survey(plan, scenario).index.visible(centres[0], centres[1:], np.zeros(3)).any()
+    assert not seen_from(survey(plan, scenario).index, centres[:1], centres[1:], np.zeros(3), np.inf, NOTHING).any()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from slam_gym.world.draft import Contents, outline
 from slam_gym.world.floor_plan import Kind
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, LoopGenerator, OfficeGenerator
-from slam_gym.world.ray_casting import WallIndex, outlines
+from slam_gym.world.ray_casting import outlines, wall_index
 from slam_gym.world.reachability import observable, reachable
 from tests.oracles.statistics import for_seeds
 
@@ -55,7 +55,7 @@ def test_features_sit_on_the_walls_and_can_be_seen(generator):
     for position, size in zip(features.positions[pillar], features.sizes[pillar]):
         on_it = np.isclose(np.hypot(*(ends - position).T), size / 2, atol=1e-9)
         assert np.count_nonzero(on_it) == 16  # the two ends of each side of an octagon
-    assert observable(plan, WallIndex(plan.walls), reachable(plan, RADIUS), 6.0).all()
+    assert observable(plan, wall_index(plan.walls), reachable(plan, RADIUS), 6.0).all()
 
 
 @pytest.mark.parametrize("seed", range(8))

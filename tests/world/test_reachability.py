@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.world.floor_plan import Features, FloorPlan, Room
-from slam_gym.world.ray_casting import WallIndex, box_distance, outlines, pull_back
+from slam_gym.world.ray_casting import NOTHING, box_distance, cast, outlines, pull_back, seen_from, wall_index
 from slam_gym.world.reachability import free_cells, free_start, observable, reachable
 
 NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty(0))
@@ -56,7 +56,7 @@ def test_a_disc_can_move_straight_between_neighbouring_cells():
     rng = np.random.default_rng(0)
     start = rng.uniform(0, 12, (60, 2))
     plan = FloorPlan("clutter", np.hstack([start, start + rng.normal(size=(60, 2))]), NO_FEATURES)
-    index = WallIndex(plan.walls)
+    index = wall_index(plan.walls)
     for radius in (0.05, 0.2):
         cells = free_cells(plan, radius)
         assert cells.cell < 2 * radius
@@ -67,7 +67,7 @@ def test_a_disc_can_move_straight_between_neighbouring_cells():
         ):
             both = cells.free[here] & cells.free[there]
             for a, b in zip(centres[here][both][::7], centres[there][both][::7]):
-                assert index.visible(a, b[None], np.zeros(1))[0]
+                assert seen_from(index, a[None], b[None], np.zeros(1), np.inf, NOTHING)[0]
 
 
 def test_nothing_is_reachable_where_nothing_is_free():
@@ -82,7 +82,7 @@ def test_features_can_be_observed_from_reachable_cells_only():
     features = Features(positions, [0, 1, 0, 0, 2], [1, 0.9, 1, 1, 0.3])
     for gap, expected in ((0.9, [True, True, True, True, True]), (0.0, [True, True, False, False, True])):
         plan = two_rooms(gap, features)
-        index = WallIndex(plan.walls)
+        index = wall_index(plan.walls)
         cells = reachable(plan, 0.2)
         seen = observable(plan, index, cells, 6.0)
         np.testing.assert_array_equal(seen, expected)
@@ -90,7 +90,7 @@ def test_features_can_be_observed_from_reachable_cells_only():
         one_by_one = np.zeros(5, bool)
         for cell in cells:
             near = np.hypot(*(positions - cell).T) <= 6.0
-            one_by_one |= near & index.visible(cell, positions, back)
+            one_by_one |= near & seen_from(index, cell[None], positions, back, np.inf, NOTHING)
         np.testing.assert_array_equal(seen, one_by_one)
     assert not observable(plan, index, cells[:1], 0.5).any(), "out of range"
     assert not observable(plan, index, cells[:0], 6.0).any(), "no cell to see from"
@@ -101,18 +101,12 @@ def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
     plan, rng = two_rooms(0.9, furniture=furniture), np.random.default_rng(4)
     cells = reachable(plan, 0.2)
     starts = np.array([free_start(plan, cells, rng) for _ in range(300)])
-    index = WallIndex(np.vstack([plan.walls, outlines(furniture)]))
+    index = wall_index(np.vstack([plan.walls, outlines(furniture)]))
     angles = np.linspace(-np.pi, np.pi, 120)
     for start in starts:
-        assert index.cast(start[:2], angles, 3.0).min() >= 0.2 - 1e-9
+        assert cast(index, start[:2], angles, 3.0, NOTHING).min() >= 0.2 - 1e-9
         assert box_distance(start[0], start[1], furniture) >= 0.3
     assert (starts[:, 0] > 6).mean() == pytest.approx(0.4, abs=0.1), "cells are equally likely"
     assert np.abs(starts[:, 2]).max() > 3.0 and np.abs(starts[:, 2]).min() < 0.1
     again = free_start(plan, cells, np.random.default_rng(8))
     np.testing.assert_array_equal(free_start(plan, cells, np.random.default_rng(8)), again)
-
-
-@pytest.mark.parametrize(("radius", "cell"), [(0.0, 0.25), (np.nan, 0.25), (0.2, 0.0), (0.2, np.inf)])
-def test_lengths_that_are_none_are_refused(radius, cell):
-    with pytest.raises(ValueError, match="radius and cell must be positive"):
-        reachable(two_rooms(0.9), radius, cell)

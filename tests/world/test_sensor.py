@@ -8,7 +8,7 @@ from slam_gym.types import SPURIOUS
 from slam_gym.world import corridor
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
 from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import NO_SEGMENTS, cast, wall_index
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, Sensor, SensorSpec
 
 SIDE = 40.0
@@ -29,7 +29,7 @@ def plan_with(positions, sizes=None, kinds=None, furniture=(), inner=()):
 
 
 def sensor_in(plan, spec=CLEAN, beams=None, odometry=None):
-    return Sensor(plan, WallIndex(plan.walls), spec, beams, odometry)
+    return Sensor(plan, wall_index(plan.walls), spec, beams, odometry)
 
 
 def scattered(seed=0, count=60):
@@ -177,11 +177,11 @@ def test_detection_clutter_and_people_come_at_their_rates():
 def test_clutter_lies_in_line_of_sight_and_spreads_evenly_over_the_area():
     plan, rng = plan_with([], inner=[(20, 24, 24, 20)]), np.random.default_rng(8)
     spec = SensorSpec(clutter=20.0, max_features=1000, field_of_view=np.pi, range=6.0)
-    sensor, index, pose = sensor_in(plan, spec), WallIndex(plan.walls), np.array([20.0, 20.0, 0.0])
+    sensor, index, pose = sensor_in(plan, spec), wall_index(plan.walls), np.array([20.0, 20.0, 0.0])
     person = np.array([[20.0, 17.0, 0.5]])
     points = np.concatenate([sensor.scan(pose, rng, person)[0].points for _ in range(200)])
     ranges, bearings = np.hypot(*points.T), np.arctan2(*points.T[::-1])
-    free = np.array([index.cast(pose[:2], angle[None], 6.0, person)[0] for angle in bearings[:, None][:, 0]])
+    free = cast(index, pose[:2], bearings, 6.0, (person, NO_SEGMENTS))
     assert np.all(ranges <= free + 0.2)  # the person's own measurements carry noise
     assert np.abs(bearings).max() <= np.pi / 2 + 0.05
     open_side = (bearings < -0.1) & (bearings > -1.2)
@@ -205,7 +205,7 @@ def test_beams_measure_what_comes_first():
     sensor = sensor_in(plan, beams=BeamSpec(count=36, range=6.0, sigma=0.05))
     sweeps = [sensor.beams(POSE, rng, person, box) for _ in range(1500)]
     ranges, bearings = np.array([beams.ranges for beams in sweeps]), sweeps[0].bearings
-    true = WallIndex(plan.walls).cast(POSE[:2], POSE[2] + bearings, 6.0, person, box)
+    true = cast(wall_index(plan.walls), POSE[:2], POSE[2] + bearings, 6.0, (person, box))
     hit = true < 6.0
     assert 10 < hit.sum() < 30
     np.testing.assert_array_equal(ranges[:, ~hit], 6.0)

@@ -11,7 +11,7 @@ from agents.drivers.clairvoyant import Clairvoyant, TrueViews, best_tour, bits_o
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
 from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.simulation.episode import survey
-from slam_gym.world.ray_casting import pull_back
+from slam_gym.world.ray_casting import NOTHING, pull_back, seen_from
 from tests.agents.drivers import offered
 
 SMALL = ExploreArguments("office-small", (("budget", 200),), split="train")
@@ -74,7 +74,7 @@ def test_from_a_cell_is_seen_what_counts_is_near_and_no_wall_hides(site, views):
     features = site.plan.features
     for cell in np.random.default_rng(0).choice(len(site.cells), 20, replace=False):
         gaps = np.hypot(*(features.positions - site.cells[cell]).T)
-        free = site.index.visible(site.cells[cell], features.positions, pull_back(features))
+        free = seen_from(site.index, site.cells[[cell]], features.positions, pull_back(features), np.inf, NOTHING)
         expected = np.flatnonzero((gaps <= 0.95 * SCENARIO.sensor.range) & free & site.observable)
         assert members(views.seen[cell]) == set(expected)
 
