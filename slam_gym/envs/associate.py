@@ -14,15 +14,7 @@ from slam_gym.association.tracking.walk import Compatibility, Walk, check_argume
 from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
-from slam_gym.simulation.association_runs import (
-    DRIVERS,
-    LOGS,
-    AssociationRun,
-    DrivenRun,
-    Driver,
-    LoggedRun,
-    ScanLog,
-)
+from slam_gym.simulation.association_runs import DRIVERS, LOGS, AssociationRun, DrivenRun, Driver, LoggedRun, ScanLog
 from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.types import UNPAIRED, Hypothesis
@@ -103,8 +95,6 @@ class AssociateEnv(BaseEnv):
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
-
     settings = AssociateSettings
     arguments: AssociateSettings
 
@@ -125,8 +115,6 @@ class AssociateEnv(BaseEnv):
         self.action_space = spaces.Discrete(self.K + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
         self._ended = False
-
-    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def run(self) -> AssociationRun:
@@ -159,11 +147,9 @@ class AssociateEnv(BaseEnv):
         row = UNPAIRED if feature == UNPAIRED else int(np.searchsorted(self.run.prediction.features, feature))
         return self.walk.action_of(row)
 
-    # -- parts of a step ---------------------------------------------------------------------------------------------
-
     def _begin(self, world: int) -> Observation:
         self._run: AssociationRun = self._start(world)
-        self.walk, self._ended, self._last_error = None, False, 1.0
+        self.walk, self._ended = None, False
         self._right = self._wrong = self._known = 0
         self._proceed()
         self._last_error = self._run.map_error()
@@ -236,8 +222,8 @@ class AssociateEnv(BaseEnv):
 
     def _observe(self) -> Observation:
         run = self.run
-        observation = nothing(self.K) if self.walk is None else self.walk.observation()
-        return observation | {"budget": np.array([1.0 - run.scans / run.length], np.float32)}
+        decision = nothing(self.K) if self.walk is None else self.walk.observation()
+        return decision | {"budget": np.array([1.0 - run.scans / run.length], np.float32)}
 
     def _info(self) -> Info:
         return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
-from slam_gym.envs.observation import GOAL_FIELDS, encode_goals, observation_space, observe
+from slam_gym.envs.observation import encode_goals, observation_space, observe
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
@@ -117,7 +117,7 @@ class ExploreEnv(BaseEnv):
       per tick.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
+    metadata = BaseEnv.metadata | {"render_fps": 10}
 
     settings = ExploreSettings
     arguments: ExploreSettings
@@ -137,11 +137,8 @@ class ExploreEnv(BaseEnv):
             self.atlas = AtlasSpec() if settings.atlas is True else settings.atlas
         self._error = REWARDS[settings.reward]
         self.measurements = self.scenario.sensor.max_features
-        goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
-        self.observation_space = observation_space(self.measurements, goal_shape)
+        self.observation_space = observation_space(self.measurements, self.goal_mode)
         self.action_space = spaces.Discrete(SLOTS) if self.goal_mode else spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def episode(self) -> Episode:
@@ -166,8 +163,6 @@ class ExploreEnv(BaseEnv):
     def map_quality(self) -> dict[str, float]:
         """All measures of the map, the trajectory and the associations in the episode so far."""
         return quality(self.episode)
-
-    # -- parts of a step ---------------------------------------------------------------------------------------------
 
     def _begin(self, world: int) -> Observation:
         self._episode = Episode(
@@ -213,9 +208,8 @@ class ExploreEnv(BaseEnv):
     def _checked(self, action: Any) -> Any:
         if self.goal_mode:
             return super()._checked(action)
-        if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
-            first, second = action.tolist() if isinstance(action, np.ndarray) else action
-            forward, turn = float(first), float(second)
+        if np.shape(action) == (2,):
+            forward, turn = map(float, action)
             if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
                 return forward, turn
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
@@ -246,8 +240,7 @@ class ExploreEnv(BaseEnv):
         right, *wrong, missed = [
             after - before for after, before in zip(episode.identities.decided, self._decided_before)
         ]
-        sources, truth = np.empty(self.measurements, np.int64), episode.truth
-        sources.fill(SPURIOUS)
+        sources, truth = np.full(self.measurements, SPURIOUS), episode.truth
         sources[: len(truth.sources)] = truth.sources
         info: Info = {
             "map_error": episode.map_error(),

@@ -41,8 +41,8 @@ def unsquash(value: Any, scale: float) -> Any:
     return scale * value / (1.0 - np.abs(value))
 
 
-def observation_space(measurements: int, goals: tuple[int, int] | None) -> spaces.Dict:
-    """The observation space for scans of at most `measurements`; `goals` is (slots, fields), or None in twist mode."""
+def observation_space(measurements: int, goals: bool) -> spaces.Dict:
+    """The observation space for scans of at most `measurements`, in twist mode without `goals`."""
 
     def box(length: int, low: float) -> spaces.Box:
         return spaces.Box(low, 1.0, (length,), np.float32)
@@ -55,7 +55,7 @@ def observation_space(measurements: int, goals: tuple[int, int] | None) -> space
         "image": spaces.Box(0, 255, (3, PIXELS, PIXELS), np.uint8),
     }
     if goals:
-        parts["goals"] = box(goals[0] * goals[1], -1.0)
+        parts["goals"] = box(SLOTS * len(GOAL_FIELDS), -1.0)
     return spaces.Dict(parts)
 
 
@@ -131,10 +131,7 @@ def _observe(
 
 @compiled
 def _encode(points: Array, covariances: Array, sizes: Array, out: Float32Array) -> None:
-    """Write the nearest of `points` (k, 2), with covariances (k, 2, 2), to `out` as rows of `POINT_FIELDS`.
-
-    Writes as many rows as fit, nearest first, and leaves the rest of `out` unchanged. An unknown size, NaN, becomes 0.
-    """
+    """Write to `out` as many rows of `POINT_FIELDS` as fit, nearest first; an unknown size, NaN, stays 0."""
     order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2, kind="mergesort")
     for row in range(min(len(out) // 7, points.shape[0])):
         i, at = order[row], 7 * row

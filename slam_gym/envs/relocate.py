@@ -111,8 +111,6 @@ class RelocateEnv(BaseEnv):
     - `associator`: the associator with which the map is made.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
-
     settings = RelocateSettings
     arguments: RelocateSettings
 
@@ -123,11 +121,7 @@ class RelocateEnv(BaseEnv):
         # a floor plan has no other worlds: scans from outside are from the scenario's worlds
         self._elsewhere = None if settings.floor_plan is None else chosen_scenario(scenario or "building")
         self.walk_spec = WalkSpec(
-            settings.candidates,
-            settings.order,
-            settings.node_limit,
-            settings.sizes,
-            self.scenario.slam.map.confidence,
+            settings.candidates, settings.order, settings.node_limit, settings.sizes, self.scenario.slam.map.confidence
         )
         resolve_associator(settings.associator)  # raises for an unknown one
         self.measurements = self.scenario.sensor.max_features
@@ -138,8 +132,6 @@ class RelocateEnv(BaseEnv):
         self.action_space = spaces.Discrete(self.walk_spec.actions)
         self._maps: dict[int, MappedWorld] = {}
         self._walk: RelocationWalk | None = None
-
-    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def walk(self) -> RelocationWalk:
@@ -171,8 +163,6 @@ class RelocateEnv(BaseEnv):
         """The action that follows the hypothesis `features` (m,), or stops; None if it is not among the candidates."""
         i = self.walk.measurement
         return self.walk_spec.star if i is None else self.walk.action_of(int(features[i]))
-
-    # -- parts of a step ---------------------------------------------------------------------------------------------
 
     def _draw_world(self, options: dict[str, Any]) -> int:
         """The world in `options`, else the world of the series, else, where the series has ended, a new world."""
@@ -226,8 +216,7 @@ class RelocateEnv(BaseEnv):
         return self._maps[world]
 
     def _observe(self) -> Observation:
-        observation: Observation = dict(observe_walk(self.walk, self.measurements))
-        return observation
+        return dict(observe_walk(self.walk, self.measurements))
 
     def _info(self) -> Info:
         walk, kidnapped = self.walk, self.kidnapped

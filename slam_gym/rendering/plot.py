@@ -139,12 +139,7 @@ def _grow(tree: Tree, node: Node, path: Path, legal: dict[Path, bool]) -> None:
             _grow(tree, extend(tree, node, row), (*path, row), legal)
 
 
-def _lay_out(
-    path: Path,
-    legal: dict[Path, bool],
-    place: dict[Path, float],
-    leaves: Iterator[int],
-) -> float:
+def _lay_out(path: Path, legal: dict[Path, bool], place: dict[Path, float], leaves: Iterator[int]) -> float:
     """Set positions in `place`: leaves in the order of the search, parents above the middle of their children."""
     below = [_lay_out(other, legal, place, leaves) for other in legal if other[:-1] == path]
     place[path] = (below[0] + below[-1]) / 2.0 if below else float(next(leaves))

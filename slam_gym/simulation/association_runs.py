@@ -150,11 +150,7 @@ AssociationRun = DrivenRun | LoggedRun
 """SLAM with hypotheses from outside: call `next_scan` and `associate` in turn, until it is `over`."""
 
 CORRIDOR = ScanLog(
-    "corridor",
-    corridor.walk_round,
-    corridor.STEPS + 1,
-    SlamSpec(reach=corridor.RANGE),
-    corridor.features(),
+    "corridor", corridor.walk_round, corridor.STEPS + 1, SlamSpec(reach=corridor.RANGE), corridor.features()
 )
 """The reference corridor; only its noise depends on the seed."""
 

@@ -29,6 +29,7 @@ def quality(episode: Episode) -> dict[str, float]:
     nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
     maps, tally = episode.slam.maps, episode.identities.total
+    right_again = episode.ticks if kidnapping.recovered is None else kidnapping.recovered
     sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
     real, first = np.unique(sources, return_index=True)
     first, real = first[real >= 0], real[real >= 0]
@@ -58,7 +59,7 @@ def quality(episode: Episode) -> dict[str, float]:
         "ticks": float(episode.ticks),
         "kidnapped": float(kidnapping.happened is not None),
         "recovered": float(kidnapping.recovered is not None),
-        "ticks_astray": _ticks_astray(episode),
+        "ticks_astray": 0.0 if kidnapping.happened is None else float(right_again - kidnapping.happened),
         "relocations_right": float(kidnapping.right),
         "relocations_wrong": float(kidnapping.wrong),
     }
@@ -73,11 +74,3 @@ def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
     pairs = rows[episode.slam.covisibility.edges().pairs]
     together: IntArray = pairs[(pairs >= 0).all(axis=1)]
     return together
-
-
-def _ticks_astray(episode: Episode) -> float:
-    """Number of ticks from the kidnapping until the pose was right again, or until now."""
-    kidnapping = episode.kidnapping
-    if kidnapping.happened is None:
-        return 0.0
-    return float((episode.ticks if kidnapping.recovered is None else kidnapping.recovered) - kidnapping.happened)

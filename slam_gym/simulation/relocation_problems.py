@@ -34,7 +34,6 @@ class MappedWorld:
     base: Array  # (3,) pose of B in W
     landmarks: Landmarks
     graph: CovisibilityGraph
-    reach: float  # [m] of the sensor
     identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS: none, or the landmark is a duplicate
     trail: Array  # (t, 3) true poses of the robot that made the map, in W
     people: Array  # (p, 3) [m] at the end of mapping
@@ -44,7 +43,7 @@ class MappedWorld:
 
     def locality(self, kind: LocalityName | None) -> Locality | None:
         """The locality of the landmarks of the given kind."""
-        return locality_of(self.graph, self.landmarks.positions, self.reach, kind)
+        return locality_of(self.graph, self.landmarks.positions, self.sensor.spec.range, kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +76,6 @@ def map_world(
         episode.base,
         episode.slam.map.landmarks(),
         copy.deepcopy(episode.slam.covisibility),
-        scenario.sensor.range,
         _identities(episode),
         np.array(episode.poses),
         episode.world.people.copy(),
@@ -142,14 +140,11 @@ def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
 
 
 def _in_map(mapped: MappedWorld, true: Array) -> Array:
-    """Transform a true pose (3,) into B by the landmarks around it, so that drift of the map is no error of the pose.
-
-    The true features within the reach of the sensor are aligned rigidly with their landmarks.
-    """
+    """A true pose (3,) in B, by alignment of the true features in reach with their landmarks: drift is no error."""
     positions = mapped.site.plan.features.positions
     known = np.flatnonzero(mapped.identities != SPURIOUS)
     offsets = positions[mapped.identities[known]] - true[:2]
-    near = known[np.hypot(offsets[:, 0], offsets[:, 1]) <= mapped.reach]
+    near = known[np.hypot(offsets[:, 0], offsets[:, 1]) <= mapped.sensor.spec.range]
     return compose(align_se2(positions[mapped.identities[near]], mapped.landmarks.positions[near]), true)
 
 

@@ -133,11 +133,7 @@ def _lawn_mower_pass(side: float) -> tuple[Array, Array]:
 
 
 def _drifted_map(features: Array, poses: Array, arcs: Array, first: IntArray, rng: np.random.Generator) -> Landmarks:
-    """The map of features (n, 2) first seen from poses `first` (n,), with exact cross-covariances.
-
-    It contains only those of pairs that a scan can span: other pairs fail the distance test, and all take 5 GB for
-    12 800 features.
-    """
+    """The map of features (n, 2) first seen from poses `first` (n,), with exact cross-covariances of near pairs."""
     K, n = _station_covariance(poses, arcs), len(features)
     low = np.minimum((arcs[first] / STATION).astype(np.int64), len(K) - 2)  # the previous station
     weight = arcs[first] / STATION - low  # of the next station
@@ -152,6 +148,7 @@ def _drifted_map(features: Array, poses: Array, arcs: Array, first: IntArray, rn
         return np.asarray(before + a * ((1 - b) * K[low[j] + 1, low[l]] + b * K[low[j] + 1, low[l] + 1]))
 
     variances = between(np.arange(n), np.arange(n)) + OWN**2
+    # of pairs that a scan can span: other pairs fail the distance test, and all take 5 GB for 12 800 features
     spanned = within(positions, 2.0 * REACH + 6.0 * math.sqrt(2.0 * variances.max()))
     row = np.repeat(np.arange(n), np.diff(spanned.starts))
     cross = np.where(row == spanned.members, variances[row], between(row, spanned.members))
@@ -161,13 +158,10 @@ def _drifted_map(features: Array, poses: Array, arcs: Array, first: IntArray, rn
 
 
 def _station_covariance(poses: Array, arcs: Array) -> Array:
-    """Covariance (s, s) [m²] per axis of the error at each station: the inverse of the network's precision.
-
-    Odometry links each station to the next; features seen again link it to the nearest one of the previous lane.
-    """
+    """Covariance (s, s) [m²] per axis of the error at each station: the inverse of the network's precision."""
     count = math.ceil(arcs[-1] / STATION) + 1
     places = poses[np.minimum(np.searchsorted(arcs, STATION * np.arange(count)), len(poses) - 1), :2]
-    links = [(k, k + 1, ALONG) for k in range(count - 1)]
+    links = [(k, k + 1, ALONG) for k in range(count - 1)]  # by odometry; below, by features seen again
     for k, near in enumerate(cKDTree(places).query_ball_point(places, 1.01 * math.hypot(LANE, 0.5 * STATION))):
         before = [l for l in near if l < k - 2]
         if before:

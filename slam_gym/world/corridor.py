@@ -60,12 +60,10 @@ def _move(step: int, pose: Array, q: float, rng: np.random.Generator) -> tuple[A
 
 def _scan(world: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan, Truth]:
     """A scan of the features within 5 m and ±90°: noisy ranges and bearings, in Cartesian form."""
-    local = observe(pose, world)
-    seen = np.flatnonzero((np.hypot(local[:, 0], local[:, 1]) <= RANGE) & (local[:, 0] >= 0.0))
-    ranges = np.hypot(local[seen, 0], local[seen, 1])
-    bearings = np.arctan2(local[seen, 1], local[seen, 0])
-    order = np.argsort(bearings)
-    seen, ranges, bearings = seen[order], ranges[order], bearings[order]
-    measured = ranges + RANGE_SIGMA * ranges * rng.standard_normal(len(seen))
-    angles = bearings + BEARING_SIGMA * rng.standard_normal(len(seen))
+    x, y = np.ascontiguousarray(observe(pose, world).T)
+    ranges, bearings = np.hypot(x, y), np.arctan2(y, x)
+    seen = np.flatnonzero((ranges <= RANGE) & (x >= 0.0))
+    seen = seen[np.argsort(bearings[seen])]
+    measured = ranges[seen] + RANGE_SIGMA * ranges[seen] * rng.standard_normal(len(seen))
+    angles = bearings[seen] + BEARING_SIGMA * rng.standard_normal(len(seen))
     return Scan.from_polar(measured, angles, RANGE_SIGMA * measured, BEARING_SIGMA), Truth(pose, seen)

@@ -202,13 +202,7 @@ def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving:
 
 @compiled
 def _measure(
-    walls: Packed,
-    pose: Array,
-    seen: _Seen,
-    sizes: Array,
-    moving: Moving,
-    noise: tuple[Array, Array],
-    packed: _Values,
+    walls: Packed, pose: Array, seen: _Seen, sizes: Array, moving: Moving, noise: tuple[Array, Array], packed: _Values
 ) -> _Measured:
     """A scan of what is `seen`, then of clutter, with a row of uniform and one of normal `noise` (n, 3) for each."""
     settings, (polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
