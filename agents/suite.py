@@ -38,7 +38,7 @@ from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
 from slam_gym.validation import one_of
 from slam_gym.world.physics import Motion
-from slam_gym.world.ray_casting import NO_DISCS
+from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
@@ -138,7 +138,7 @@ class TwoLaps:
             cells = self.site.cells[self.rng.integers(len(self.site.cells), size=dynamics.people)]
             clear = np.hypot(*(cells - pose[:2]).T) > 2.0 * dynamics.person_radius
             people = np.column_stack([cells, np.full(len(cells), dynamics.person_radius)])[clear]
-        return self.sensor.scan(pose, self.rng, people)
+        return self.sensor.scan(pose, self.rng, (people, NO_SEGMENTS))
 
 
 def problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[Problem]:

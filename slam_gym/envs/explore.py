@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,10 +15,9 @@ from slam_gym.association.prediction import Associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.envs.observation import encode_goals, observation_space, observe
 from slam_gym.scenarios import Scenario
-from slam_gym.simulation import goals as goals_module
-from slam_gym.simulation.driver import carry_out
+from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.episode import Episode
-from slam_gym.simulation.goals import SLOTS, Goals, Places
+from slam_gym.simulation.goals import LOOK, SLOTS, Goals, propose
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import LOCALITIES, SEARCH, LocalityName, relocate_by
@@ -175,22 +174,23 @@ class ExploreEnv(BaseEnv):
             relocate=self.relocate,
             atlas=self.atlas,
         )
-        self._places = Places()
         self._begin_step()
         observation = self._observe()  # first, since watchers and pictures need the goals
-        self._after_tick()
+        self._episode.places.pass_by(self._episode.estimates[0][:2])
+        self._changed()
         self._last_error = self._error(self._episode)
         return observation
 
     def _act(self, action: Any) -> float:
         episode = self._episode
         self._begin_step()
+        driven: Iterable[Command] = (action,)
         if self.goal_mode:
-            slot = action if self._goals.legal[action] else goals_module.LOOK
-            carry_out(episode, slot, self._goals.positions[slot], self._after_tick, self._goals.ways)
-        else:
-            episode.tick(action[0], action[1])
-            self._after_tick()
+            slot = action if self._goals.legal[action] else LOOK
+            driven = commands(episode, slot, self._goals.positions[slot], self._goals.ways)
+        for forward, turn in driven:
+            episode.tick(forward, turn)
+            self._changed()
         error = self._error(episode)
         reward, self._last_error = self._last_error - error, error
         return reward
@@ -218,11 +218,6 @@ class ExploreEnv(BaseEnv):
         self._decided_before = self._episode.identities.decided
         self._ticks_before = max(self._episode.ticks, 0)
 
-    def _after_tick(self) -> None:
-        if self.goal_mode:
-            self._places.pass_by(self._episode.estimates[-1][:2])
-        self._changed()
-
     def _observe(self) -> Observation:
         episode = self._episode
         slam_map, expected = episode.slam.map, episode.last_step.prediction
@@ -231,7 +226,7 @@ class ExploreEnv(BaseEnv):
             episode.scan, expected, slam_map, episode.grid, self.measurements, budget_left
         )
         if self.goal_mode:
-            self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places, episode.tried)
+            self._goals = propose(self.scenario, slam_map, episode.grid, episode.places, episode.tried)
             observation["goals"] = encode_goals(self._goals, slam_map.pose)
         return observation
 

@@ -32,14 +32,12 @@ def interquartile_mean(values: Array) -> Array:
     if n == 0:
         raise ValueError("the interquartile mean of no values")
     cut = n // 4
-    middle: Array = np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1)
-    return middle
+    return np.asarray(np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1))
 
 
 def mean(values: Array) -> Array:
     """(…,) mean of values (…, n), including outliers."""
-    out: Array = np.asarray(values, np.float64).mean(axis=-1)
-    return out
+    return np.asarray(np.mean(values, axis=-1, dtype=np.float64))
 
 
 def bootstrap_interval(

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from slam_gym.recordings import dlr as _dlr
@@ -50,15 +51,22 @@ def open_recordings(
     Raises FileNotFoundError that says what is missing, where to get it and what to cite; RecordingError for invalid
     files; ValueError for a name that is neither a public log nor a file of these types.
     """
-    if str(name) == "victoria_park":
-        return [_victoria_park.victoria_park(_folder(str(name), data))]
-    if str(name) == "dlr":
-        return [_dlr.dlr(_folder(str(name), data))]
-    if str(name) == "mrclam":
-        folder = _folder(str(name), data)
-        chosen = list(robots or _mrclam.ROBOTS)
-        return [_mrclam.mrclam(path, robot) for path in _sets(folder) for robot in chosen]
-    return [_from_file(Path(name), reference)]
+    name, path = str(name), Path(name)
+    if name == "victoria_park":
+        return [_victoria_park.victoria_park(_folder(name, data))]
+    if name == "dlr":
+        return [_dlr.dlr(_folder(name, data))]
+    if name == "mrclam":
+        sets = _sets(_folder(name, data))
+        return [_mrclam.mrclam(folder, robot) for folder in sets for robot in robots or _mrclam.ROBOTS]
+    read_g2o = partial(g2o, reference=reference)
+    readers: dict[str, Callable[[Path], Recording]] = {".npz": load, ".csv": from_csv, ".g2o": read_g2o, ".txt": isam}
+    if path.suffix not in readers:
+        known = ", ".join([*PUBLISHED, *(f"FILE{suffix}" for suffix in readers)])
+        raise ValueError(f"unknown recording {name!r}; known: {known}")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not there")
+    return [readers[path.suffix](path)]
 
 
 def _folder(name: str, data: str | Path | None) -> Path:
@@ -82,13 +90,3 @@ def _sets(folder: Path) -> list[Path]:
     if not found:
         raise FileNotFoundError(f"recording 'mrclam': {folder} holds no set (MRCLAM_Dataset…). {_mrclam.SOURCE}")
     return found
-
-
-def _from_file(path: Path, reference: bool) -> Recording:
-    readers = {".npz": load, ".csv": from_csv, ".g2o": g2o, ".txt": isam}
-    if path.suffix not in readers:
-        known = ", ".join([*PUBLISHED, *(f"FILE{suffix}" for suffix in readers)])
-        raise ValueError(f"unknown recording {str(path)!r}; known: {known}")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: not there")
-    return g2o(path, reference=reference) if path.suffix == ".g2o" else readers[path.suffix](path)

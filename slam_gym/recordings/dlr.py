@@ -67,20 +67,18 @@ def _lines(text: str) -> tuple[Array, Array, list[int], list[int]]:
         kind, *words = line.split() or ["#"]
         if kind.startswith("#"):
             continue
-        try:
+        with naming(f"line {number}"):
             if kind == _STEP:
                 motions.append(_numbers(words[1:], _STEP_NUMBERS))
                 counts.append(0)
-            elif kind == _CIRCLE:
-                circles.append(_numbers(words[:_CIRCLE_NUMBERS], _CIRCLE_NUMBERS))
-                sources.append(_identity(words[_CIRCLE_NUMBERS:]))
-                counts[-1] += 1
-            else:
+                continue
+            if kind != _CIRCLE:
                 raise ValueError(f"{kind!r} is neither {_STEP} nor {_CIRCLE}")
-        except IndexError:
-            raise RecordingError(f"line {number}: a circle before the first step") from None
-        except ValueError as error:
-            raise RecordingError(f"line {number}: {error}") from None
+            if not counts:
+                raise ValueError("a circle before the first step")
+            circles.append(_numbers(words[:_CIRCLE_NUMBERS], _CIRCLE_NUMBERS))
+            sources.append(_identity(words[_CIRCLE_NUMBERS:]))
+            counts[-1] += 1
     if not motions:
         raise RecordingError("there is no step")
     return np.array(motions), np.array(circles).reshape(-1, _CIRCLE_NUMBERS), sources, counts
@@ -107,5 +105,4 @@ def _identity(words: list[str]) -> int:
 def _turned(entries: Array, side: int) -> Array:
     """Covariances (k, side, side) in R from the entries (k, side²) of covariances in the file's frame."""
     turn = _TURN[:side, :side]
-    out: Array = turn @ entries.reshape(-1, side, side) @ turn.T
-    return out
+    return np.asarray(turn @ entries.reshape(-1, side, side) @ turn.T)

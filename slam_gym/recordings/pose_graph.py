@@ -65,15 +65,12 @@ def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[
     entries: dict[str, list[_Entry]] = {tag: [] for tag in sizes}
     for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8", errors="replace").split("\n"), 1):
         tag, *words = line.split("#", 1)[0].split() or [""]
-        try:
-            if tag == "FIX" and "VERTEX_SE2" in sizes:  # a vertex that an optimiser holds fixed
-                continue
-            if tag and tag not in sizes:
+        if not tag or (tag == "FIX" and "VERTEX_SE2" in sizes):  # a vertex that an optimiser holds fixed
+            continue
+        with naming(f"line {number}"):
+            if tag not in sizes:
                 raise ValueError(f"{tag[:40]!r} is none of {', '.join(sizes)}")
-            if tag:
-                entries[tag].append(_entry(number, tag, words, *sizes[tag]))
-        except ValueError as error:
-            raise RecordingError(f"line {number}: {error}") from None
+            entries[tag].append(_entry(number, tag, words, *sizes[tag]))
     return entries
 
 

@@ -38,7 +38,7 @@ class RecordingError(ValueError):
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Turn errors into RecordingErrors that name the file or folder `path`. Floating-point warnings are suppressed."""
+    """Turn errors into RecordingErrors that name `path`, or a line. Floating-point warnings are suppressed."""
     try:
         with np.errstate(all="ignore"):  # the checks of fields reject numbers that overflow
             yield

@@ -33,7 +33,8 @@ _KEY = (
 def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
     """A surface with a run and the walk through the tree of its present scan, or None after the end of the run."""
     picture = picture_with(_panel(run, walk, answers, figures))
-    base, scene = _scene(run)
+    base = run.base if isinstance(run, DrivenRun) else np.zeros(3)  # the pose of B in the frame of the scene
+    scene = scene_of_episode(run) if isinstance(run, DrivenRun) else scene_of_log(run)
     pose = compose(base, run.slam.map.pose)
     points = np.vstack([pose[:2], transform(pose, run.scan.points)])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -45,13 +46,6 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
     picture.blit(canvas.picture(), (0, 0))
     badges(picture, canvas.places(centres))
     return picture
-
-
-def _scene(run: AssociationRun) -> tuple[Array, Scene]:
-    """The pose (3,) of B in the frame of the scene, and the scene, which is in W for scenarios and in B for logs."""
-    if isinstance(run, DrivenRun):
-        return run.base, scene_of_episode(run)
-    return np.zeros(3), scene_of_log(run)
 
 
 def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:

@@ -186,9 +186,8 @@ class Window:
     """A window that shows pictures in succession, at most `fps` per second, scaled to the size of the window."""
 
     def __init__(self, title: str, fps: float) -> None:
-        self.title, self.fps = title, fps
+        self.title, self.fps, self._clock = title, fps, pygame.time.Clock()
         self._window: Any = None
-        self._clock: Any = None
 
     def show(self, picture: Any) -> None:
         """Show a surface. The first call opens the window in the size of its surface."""
@@ -196,7 +195,6 @@ class Window:
             pygame.display.init()
             self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE)
             pygame.display.set_caption(self.title)
-            self._clock = pygame.time.Clock()
         size = self._window.get_size()
         self._window.blit(picture if size == picture.get_size() else _fitted(picture, size), (0, 0))
         pygame.event.pump()
@@ -212,7 +210,7 @@ class Window:
         """Close the window, if it is open. May be called repeatedly; `show` opens a new window."""
         if self._window is not None:
             pygame.display.quit()
-            self._window = self._clock = None
+            self._window = None
 
 
 def _fitted(picture: Any, size: tuple[int, int]) -> Any:

@@ -93,7 +93,9 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
             words, fraction = (cell, None) if isinstance(cell, str) else cell
             picture.blit(text(words, TEXT, symbols.INK), (left + offset, y))
             if fraction is not None:
-                _bar(picture, (left + offset + 38, y + 6), fraction)
+                corner, length = (left + offset + 38, y + 6), max(3, round(60 * min(max(fraction, 0.0), 1.0)))
+                pygame.draw.rect(picture, symbols.LINE, (*corner, 60, 6), border_radius=3)
+                pygame.draw.rect(picture, symbols.PLAN, (*corner, length, 6), border_radius=3)
     picture.blit(text(note, TEXT, symbols.MUTED), (left + columns[1][0], top + (len(choices) + 1) * ROW))
 
 
@@ -129,12 +131,6 @@ def _action(picture: Any, centre: Point, choice: Choice) -> None:
     badge(picture, centre, "" if choice.action == "*" else choice.action)
     if choice.action == "*":
         star(picture, centre, symbols.PAPER)
-
-
-def _bar(picture: Any, corner: tuple[int, int], fraction: float) -> None:
-    length = max(3, round(60 * min(max(fraction, 0.0), 1.0)))
-    pygame.draw.rect(picture, symbols.LINE, (*corner, 60, 6), border_radius=3)
-    pygame.draw.rect(picture, symbols.PLAN, (*corner, length, 6), border_radius=3)
 
 
 class Level(NamedTuple):

@@ -154,8 +154,7 @@ def _trail(poses: list[Array]) -> Array:
     every = max(1, len(poses) // _TRAIL)
     points = np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
     leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
-    trail: Array = np.insert(points, leaps, np.nan, axis=0)
-    return trail
+    return np.asarray(np.insert(points, leaps, np.nan, axis=0))
 
 
 # -- legend ----------------------------------------------------------------------------------------------------------

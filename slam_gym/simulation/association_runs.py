@@ -16,7 +16,7 @@ from slam_gym.metrics import map_quality
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.episode import Episode, Site
-from slam_gym.simulation.goals import FRONTIERS, LOOK, Goals, Places, propose
+from slam_gym.simulation.goals import FRONTIERS, LOOK, Goals, propose
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Hypothesis, Odometry, Scan, Truth
@@ -52,7 +52,7 @@ class DrivenRun(Episode):
         self._choices = np.random.default_rng(rng.integers(2**63))  # choices do not depend on the noise
         # the map is empty at the first scan, so there is nothing to associate
         super().__init__(scenario, site, "nearest_neighbour", rng)
-        self._driver, self._passed = driver, Places()
+        self._driver = driver
         self._commands: Iterator[Command] = iter(())
 
     @property
@@ -69,7 +69,7 @@ class DrivenRun(Episode):
         """Drive for one tick, towards a new goal if the last one has ended, and take a scan."""
         command = next(self._commands, None)
         while command is None:
-            goals = propose(self.scenario, self.slam.map, self.grid, self._passed, self.tried)
+            goals = propose(self.scenario, self.slam.map, self.grid, self.places, self.tried)
             slot = self._driver(goals, self._choices)
             self._commands = commands(self, slot, goals.positions[slot])
             command = next(self._commands, None)
@@ -78,7 +78,6 @@ class DrivenRun(Episode):
     def associate(self, hypothesis: Hypothesis) -> None:
         """Complete the SLAM step with the `hypothesis` on the current scan."""
         self.end_tick(self.prediction, hypothesis)
-        self._passed.pass_by(self.estimates[-1][:2])
 
 
 @dataclass(frozen=True)

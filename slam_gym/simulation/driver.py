@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -22,17 +22,7 @@ AHEAD, AROUND = 15.0, 6.0  # [m] length of the path that is replanned at once, a
 NEAR_ENOUGH = 1.5  # [m] from an unreachable goal to a reachable place that may replace it
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] a goal is given up if so many ticks bring the robot less near
 
-AfterTick = Callable[[], None]
 Command = tuple[float, float]  # fractions in [−1, 1] of the maximal forward and turning speed
-
-
-def carry_out(
-    episode: Episode, slot: int, goal: Array, after_tick: AfterTick, ways: DistanceField | None = None
-) -> None:
-    """Carry out a goal, tick by tick (see `commands`), and call `after_tick` after every tick."""
-    for forward, turn in commands(episode, slot, goal, ways):
-        episode.tick(forward, turn)
-        after_tick()
 
 
 def commands(episode: Episode, slot: int, goal: Array, ways: DistanceField | None = None) -> Iterator[Command]:
@@ -58,7 +48,7 @@ def _look_around(episode: Episode) -> Iterator[Command]:
 
 
 def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | None) -> Iterator[Command]:
-    robot = episode.scenario.robot
+    robot, reach = episode.scenario.robot, episode.scenario.beams.range
     speed, turn = float(robot.max_speed), float(robot.max_turn)
     path, requested, seen = np.empty((0, 2)), goal, False
     nearest, stalled = math.inf, 0
@@ -67,7 +57,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
         pose = episode.slam.map.pose
         if ticks % REPLAN == 0:
             path = _plan(episode, pose, goal, path, None if ticks else ways)
-            seen = frontier and ticks > 0 and _out_of_date(episode, goal)
+            seen = bool(frontier and ticks and episode.grid.expected_area(goal[None], reach)[0] < WORTH_SEEING)
             if len(path) == 0 or seen:
                 break
             goal = path[-1]  # a place nearby, if the goal itself is no longer reachable
@@ -131,8 +121,3 @@ def is_free(grid: ExploredGrid, points: Array) -> bool:
     """Whether the cells of all points (q, 2) are free."""
     rows, columns = np.floor((points - grid.origin) / grid.resolution).astype(np.int64).T[::-1]
     return bool((grid.cells[rows, columns] == FREE).all())
-
-
-def _out_of_date(episode: Episode, goal: Array) -> bool:
-    """Whether the unknown space visible from a frontier has been seen on the way."""
-    return float(episode.grid.expected_area(goal[None], episode.scenario.beams.range)[0]) < WORTH_SEEING

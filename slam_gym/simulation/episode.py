@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.association.prediction import Associator, Prediction, SlamStep
+from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.geometry import compose, compose_jacobians, observe, relative, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import pose_nees
@@ -22,13 +22,13 @@ from slam_gym.navigation.keyframes import Keyframes
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
-from slam_gym.simulation.goals import Tried
+from slam_gym.simulation.goals import Places, Tried
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.slam import Slam
-from slam_gym.types import Array, BoolArray, Hypothesis, IntArray
+from slam_gym.types import Array, BoolArray, Hypothesis
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import Packed, wall_index
@@ -89,7 +89,8 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
-        bounds = _bounds_in_base(site.plan.bounds, self.base)
+        corners = observe(self.base, site.plan.bounds[[[0, 1], [2, 1], [2, 3], [0, 3]]])
+        bounds = np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._cells = self.grid.cells  # a view, which changes with the grid
         sensor = scenario.sensor
@@ -105,72 +106,69 @@ class Episode:
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) [m] observable true features, in W
         in_base, grid = observe(self.base, site.cells), self.grid
-        self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
+        self._reachable = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
         self._indexed = indexed(self.targets, 2.0 * scenario.prior_sigma)
         self.poses: list[Array] = []  # (3,) true poses in W, one per tick
         self.estimates: list[Array] = []  # (3,) estimated poses in B, one per tick
         self.nees: list[float] = []  # of the pose; NaN in a second map, whose pose in B is not estimated
         self.path = np.empty((0, 2))  # (p, 2) in B, the path that the driver follows now
+        self.places = Places()  # where the robot has been, but not its start
         self.tried = Tried()  # frontiers that were driven to and are still frontiers
         self.ticks = -1  # the first scan, at the start, does not count as a tick
         self._appraised, self._appraised_at = (1.0, 0.0), -1  # map error and coverage, and their tick
-        self._sense(_AT_REST)
-        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
+        prediction = self._sense(_AT_REST)
+        self.end_tick(prediction, self._judged.associate(self.scan, prediction, self.truth))
 
     def tick(self, forward: float, turn: float) -> None:
         """Drive for one tick with fractions in [−1, 1] of the maximal speeds, take a scan, and run a SLAM step."""
-        self._drive(forward, turn)
-        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
+        prediction = self.begin_tick(forward, turn)
+        self.end_tick(prediction, self._judged.associate(self.scan, prediction, self.truth))
 
     def begin_tick(self, forward: float, turn: float) -> Prediction:
         """The first half of a tick with an outside associator: drive, take a scan, and predict it."""
-        self._drive(forward, turn)
-        return self.slam.predict(self.odometry, self.scan)
-
-    def end_tick(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
-        """The second half: complete the SLAM step with the outside `hypothesis` on the scan."""
-        self._take_in(self._judged.learn(self.scan, prediction, hypothesis, self.truth))
-
-    def _drive(self, forward: float, turn: float) -> None:
         motion = self.world.tick(forward, turn)
         carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
         if carried_to is not None:
             self.world.place(carried_to)
-        self._sense(motion)
+        return self._sense(motion)
 
-    def _sense(self, motion: Motion) -> None:
+    def end_tick(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
+        """The second half: complete the SLAM step with the outside `hypothesis` on the scan, and explore."""
+        self.last_step = self._judged.learn(self.scan, prediction, hypothesis, self.truth)
+        if not self.slam.doubted:  # a wrong pose would draw walls where there are none
+            self._explore()
+        self._log()
+
+    def _sense(self, motion: Motion) -> Prediction:
         world, sensor, rng = self.world, self.sensor, self.rng
+        moving = world.people, world.furniture_segments
         self.odometry = sensor.odometry(motion, rng)
-        self.scan, self.truth = sensor.scan(world.pose, rng, world.people, world.furniture_segments)
-        self.beams = sensor.beams(world.pose, rng, world.people, world.furniture_segments)
+        self.scan, self.truth = sensor.scan(world.pose, rng, moving)
+        self.beams = sensor.beams(world.pose, rng, moving)
         if self._compass is not None:
             self.odometry = self._compass.corrected(self.odometry, self.beams)
+        return self.slam.predict(self.odometry, self.scan)
 
-    def _take_in(self, step: SlamStep) -> None:
-        """Update the explored grid and the judgement after a SLAM step."""
-        self.last_step = step
-        if not self.slam.doubted:  # a wrong pose would draw walls where there are none
-            self._explore(step.ids)
-        self._log(self.truth.pose)
-
-    def _explore(self, seen: IntArray) -> None:
-        """Enter the beams at the estimated pose; redraw what has moved. `seen` (m,) are the ids of features seen."""
+    def _explore(self) -> None:
+        """Enter the beams at the estimated pose; redraw what has moved."""
         slam_map, beams = self.slam.map, self.beams
         pose = slam_map.pose
-        self._keyframes.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
+        self._keyframes.enter(pose, self.odometry.motion, beams, self.last_step.ids, slam_map, self.slam.fused)
         if self.virtual_map is not None:
             _, turn = compose_jacobians(self.base, pose)
             covariance = turn @ slam_map.pose_covariance @ turn.T  # in W
             sigma = self.scenario.sensor.sigma_halfway
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
-    def _log(self, true_pose: Array) -> None:
+    def _log(self) -> None:
         """Record the estimated pose and its error."""
-        slam, estimate = self.slam, self.slam.map.pose
+        slam, estimate, true_pose = self.slam, self.slam.map.pose, self.truth.pose
         nees = pose_nees(estimate, slam.map.pose_covariance, relative(self.base, true_pose))
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.ticks += 1
+        if self.ticks:
+            self.places.pass_by(estimate[:2])
         self.poses.append(true_pose)
         if slam.relocations or self.kidnapping.happened is not None:
             in_world = compose(self.base, estimate)
@@ -200,13 +198,6 @@ class Episode:
         """Map error and coverage, computed once per tick, since both rewards and info use them."""
         if self._appraised_at != self.ticks:
             error = map_quality.error_of(self.landmarks, self._indexed)
-            self._appraised = error, map_quality.coverage(self._cells, self._places)
+            self._appraised = error, map_quality.coverage(self._cells, self._reachable)
             self._appraised_at = self.ticks
         return self._appraised
-
-
-def _bounds_in_base(bounds: Array, base: Array) -> Array:
-    """Bounds (4,) in B that contain the rectangle `bounds` (4,) in W, with a margin."""
-    x0, y0, x1, y1 = bounds
-    corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
-    return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

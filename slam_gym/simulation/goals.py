@@ -92,8 +92,7 @@ class Tried:
         """(q,) how often each of `positions` (q, 2), or a place within `_SAME` of it, has been tried."""
         points, times = np.array(self._points).reshape(-1, 2), np.array(self._times, np.int64)
         near = np.hypot(*(positions[:, None] - points).transpose(2, 0, 1)) < _SAME
-        out: IntArray = np.where(near, times, 0).max(axis=1, initial=0)
-        return out
+        return np.asarray(np.where(near, times, 0).max(axis=1, initial=0))
 
 
 def clearances(radius: float) -> tuple[float, float]:
@@ -162,8 +161,7 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
         largest = far[np.argsort(-areas[far] / (lengths[far] + _SHORT), kind="stable")[:_LARGEST]]
         nearest = np.concatenate([nearest[: FRONTIERS - _LARGEST], largest])
         nearest = nearest[np.argsort(lengths[nearest], kind="stable")]
-    ends: Array = centres[nearest]
-    return ends
+    return np.asarray(centres[nearest])
 
 
 def _views(

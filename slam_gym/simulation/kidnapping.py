@@ -58,8 +58,7 @@ def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array
     """A random one of the poses `been` (t, 3), at least `distance` [m] from the last one or as far as possible."""
     distances = np.hypot(*(been[:, :2] - been[-1, :2]).T)
     far = np.flatnonzero(distances >= min(distance, float(distances.max())))
-    place: Array = been[rng.choice(far), :2]
-    return place
+    return np.asarray(been[rng.choice(far), :2])
 
 
 def _place_not_been(been: Array, cells: Array) -> Array:
@@ -67,5 +66,4 @@ def _place_not_been(been: Array, cells: Array) -> Array:
     nearest = np.full(len(cells), math.inf)
     for pose in been[::10]:
         nearest = np.minimum(nearest, np.hypot(cells[:, 0] - pose[0], cells[:, 1] - pose[1]))
-    place: Array = cells[int(np.argmax(nearest))]
-    return place
+    return np.asarray(cells[int(np.argmax(nearest))])

@@ -72,5 +72,4 @@ def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
     current = np.flatnonzero(chosen < len(confirmed))
     rows[confirmed[chosen[current]]] = current
     pairs = rows[episode.slam.covisibility.edges().pairs]
-    together: IntArray = pairs[(pairs >= 0).all(axis=1)]
-    return together
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)])

@@ -14,11 +14,12 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
 from slam_gym.simulation.association_runs import nearest_frontier
-from slam_gym.simulation.driver import carry_out
+from slam_gym.simulation.driver import commands
 from slam_gym.simulation.episode import Episode, Site, survey
-from slam_gym.simulation.goals import LOOK, Places, propose
+from slam_gym.simulation.goals import LOOK, propose
 from slam_gym.slam.relocate import LocalityName, locality_of
 from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
+from slam_gym.world.ray_casting import Moving
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
@@ -36,8 +37,7 @@ class MappedWorld:
     graph: CovisibilityGraph
     identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS: none, or the landmark is a duplicate
     trail: Array  # (t, 3) true poses of the robot that made the map, in W
-    people: Array  # (p, 3) [m] at the end of mapping
-    furniture: Array  # (o, 4) [m] segments, at the end of mapping
+    moving: Moving  # people and furniture at the end of mapping
     sensor: Sensor
     elsewhere: Site | None  # another world; None if the scenario has only one
 
@@ -71,6 +71,8 @@ def map_world(
     site = survey(scenario.generator(world_generator(split, world)), scenario)
     episode = Episode(replace(scenario, kidnapping=None), site, associator, rng)
     _explore(episode)
+    elsewhere = elsewhere or scenario
+    other = elsewhere.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
     return MappedWorld(
         site,
         episode.base,
@@ -78,10 +80,9 @@ def map_world(
         copy.deepcopy(episode.slam.covisibility),
         _identities(episode),
         np.array(episode.poses),
-        episode.world.people.copy(),
-        episode.world.furniture_segments.copy(),
+        (episode.world.people, episode.world.furniture_segments),
         episode.sensor,
-        _elsewhere(elsewhere or scenario, split, world, site),
+        None if np.array_equal(other.walls, site.plan.walls) else survey(other, elsewhere),
     )
 
 
@@ -104,16 +105,14 @@ def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random
 
 
 def _explore(episode: Episode) -> None:
-    places = Places()
-
-    def after_tick() -> None:
-        places.pass_by(episode.estimates[-1][:2])
-
-    carry_out(episode, LOOK, np.zeros(2), after_tick)
+    slot, goal = LOOK, np.zeros(2)
     while not episode.over:
-        goals = propose(episode.scenario, episode.slam.map, episode.grid, places, episode.tried)
-        slot = nearest_frontier(goals, episode.rng)
-        carry_out(episode, slot, goals.positions[slot], after_tick)
+        for forward, turn in commands(episode, slot, goal):
+            episode.tick(forward, turn)
+        if not episode.over:
+            goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
+            slot = nearest_frontier(goals, episode.rng)
+            goal = goals.positions[slot]
 
 
 def _identities(episode: Episode) -> IntArray:
@@ -124,15 +123,10 @@ def _identities(episode: Episode) -> IntArray:
     return np.where(first & (sources >= 0), sources, SPURIOUS)
 
 
-def _elsewhere(scenario: Scenario, split: str, world: int, site: Site) -> Site | None:
-    plan = scenario.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
-    return None if np.array_equal(plan.walls, site.plan.walls) else survey(plan, scenario)
-
-
 def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
     place = mapped.trail[rng.integers(len(mapped.trail)), :2]
     true = np.array([place[0], place[1], rng.uniform(-math.pi, math.pi)])
-    scan, truth = mapped.sensor.scan(true, rng, mapped.people, mapped.furniture)
+    scan, truth = mapped.sensor.scan(true, rng, mapped.moving)
     landmark = np.full(len(mapped.site.plan.features) + 1, UNPAIRED)  # the last entry is that of SPURIOUS
     known = np.flatnonzero(mapped.identities != SPURIOUS)
     landmark[mapped.identities[known]] = known

@@ -72,8 +72,7 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> Array:
         indoors = labels != parts[0]  # the ground around the plan reaches its outermost cells
     if not indoors.any():
         return np.empty((0, 2))
-    largest: Array = centres[labels == np.argmax(np.bincount(labels[indoors]))]
-    return largest
+    return np.asarray(centres[labels == np.argmax(np.bincount(labels[indoors]))])
 
 
 def observable(plan: FloorPlan, walls: Packed, cells: Array, max_range: float) -> BoolArray:

@@ -18,7 +18,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.validation import check_settings
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, Grid, Moving, Packed, cast, pull_back, sees
+from slam_gym.world.ray_casting import NOTHING, Grid, Moving, Packed, cast, pull_back, sees
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
@@ -90,8 +90,8 @@ class OdometrySpec:
 class Sensor:
     """All senses of a robot in one floor plan. It has no state but the plan; noise comes from the generator passed in.
 
-    `walls` are the plan's, as `wall_index` returns them. Poses (3,) are true poses in W. Moving objects are passed to
-    each call: `people` (p, 3) [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
+    `walls` are the plan's, as `wall_index` returns them. Poses (3,) are true poses in W. What is `moving`, people as
+    discs and furniture as segments, is passed to each call.
     """
 
     def __init__(
@@ -115,15 +115,12 @@ class Sensor:
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
 
-    def scan(
-        self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
-    ) -> tuple[Scan, Truth]:
+    def scan(self, pose: Array, rng: np.random.Generator, moving: Moving = NOTHING) -> tuple[Scan, Truth]:
         """One scan from `pose`: measurements by rising bearing, including spurious ones.
 
         Furniture and people hide features, and a person is sometimes measured as a feature, at the near side. Neither
         order nor size reveals a spurious measurement, since its size is that of a random feature of the plan.
         """
-        moving = people, furniture
         seen = _in_sight(self._walls, pose, self._targets, moving, self._settings)
         n = len(seen[1]) + rng.poisson(self.spec.clutter)  # most measurements that are possible
         noise = rng.random((n, 3)), rng.standard_normal((n, 3))
@@ -140,12 +137,10 @@ class Sensor:
             return np.full(len(sources), UNKNOWN_KIND)
         return np.where(sources == SPURIOUS, known[rng.integers(len(known), size=len(sources))], known[sources])
 
-    def beams(
-        self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
-    ) -> Beams:
+    def beams(self, pose: Array, rng: np.random.Generator, moving: Moving = NOTHING) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to the first surface, or the full range."""
         noise = rng.standard_normal(self.beam_spec.count)
-        ranges = _sweep(self._walls, pose, self._bearings, (people, furniture), noise, self._finder)
+        ranges = _sweep(self._walls, pose, self._bearings, moving, noise, self._finder)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:

@@ -12,7 +12,7 @@ from slam_gym.navigation.explored_grid import WALL
 from slam_gym.navigation.planner import distance_field
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals
-from slam_gym.simulation.driver import ARRIVED, STUCK_TICKS, carry_out
+from slam_gym.simulation.driver import ARRIVED, STUCK_TICKS, commands
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING
 from slam_gym.world.physics import RobotSpec
 from tests.rollouts import episode, explore, random_action, short
@@ -108,11 +108,12 @@ def test_a_goal_is_given_up_by_a_robot_that_cannot_move() -> None:
 
 
 def test_a_goal_that_no_path_leads_to_costs_one_tick_at_rest() -> None:
-    env, calls = explore("office"), []
+    env = explore("office")
     env.reset(seed=0)
     before = env.episode.world.pose
-    carry_out(env.episode, 1, np.array([500.0, 500.0]), lambda: calls.append(env.episode.ticks))
-    assert calls == [1]
+    for command in commands(env.episode, 1, np.array([500.0, 500.0])):
+        env.episode.tick(*command)
+    assert env.episode.ticks == 1
     np.testing.assert_allclose(env.episode.world.pose, before, atol=1e-9)
 
 
@@ -142,6 +143,7 @@ def test_a_goal_that_is_walled_up_gives_way_to_a_place_nearby_if_there_is_one(ra
     assert math.dist(goal, ep.slam.map.pose[:2]) > 4.0
     walled_up(ep.grid, goal, radius)
     ticks = ep.ticks
-    carry_out(ep, FIRST_REVISIT, goal, lambda: None)
+    for command in commands(ep, FIRST_REVISIT, goal):
+        ep.tick(*command)
     left = math.dist(ep.slam.map.pose[:2], goal)
     assert left < driver.NEAR_ENOUGH + ARRIVED if arrives else (ep.ticks == ticks + 1 and left > 3.0)

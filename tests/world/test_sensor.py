@@ -146,7 +146,7 @@ def test_walls_furniture_and_people_hide_features():
     np.testing.assert_array_equal(np.sort(sensor.scan(pose, rng)[1].sources), [1, 2, 3])
     people, furniture = np.array([[20.0, 22.0, 0.25]]), np.array([[17.0, 19.0, 17.0, 21.0]])
     spec = SensorSpec(**{**vars(CLEAN), "person_detection": 0.0})
-    hidden = sensor_in(plan, spec).scan(pose, rng, people, furniture)[1]
+    hidden = sensor_in(plan, spec).scan(pose, rng, (people, furniture))[1]
     np.testing.assert_array_equal(hidden.sources, [3])
 
 
@@ -155,7 +155,7 @@ def test_detection_clutter_and_people_come_at_their_rates():
     spec = SensorSpec(
         clutter=1.5, detection=0.7, person_detection=0.4, max_features=1000, field_of_view=2 * np.pi, range=12.0
     )
-    sensor, people = sensor_in(plan, spec), np.array([[22.0, 20.0, 0.25]])
+    sensor, people = sensor_in(plan, spec), (np.array([[22.0, 20.0, 0.25]]), NO_SEGMENTS)
     in_sight = sensor_in(plan, SensorSpec(**{**vars(spec), "detection": 1.0})).scan(POSE, rng, people)[1].sources
     in_sight = np.unique(in_sight[in_sight >= 0])
     seen = np.zeros(30)
@@ -178,10 +178,10 @@ def test_clutter_lies_in_line_of_sight_and_spreads_evenly_over_the_area():
     plan, rng = plan_with([], inner=[(20, 24, 24, 20)]), np.random.default_rng(8)
     spec = SensorSpec(clutter=20.0, max_features=1000, field_of_view=np.pi, range=6.0)
     sensor, index, pose = sensor_in(plan, spec), wall_index(plan.walls), np.array([20.0, 20.0, 0.0])
-    person = np.array([[20.0, 17.0, 0.5]])
+    person = np.array([[20.0, 17.0, 0.5]]), NO_SEGMENTS
     points = np.concatenate([sensor.scan(pose, rng, person)[0].points for _ in range(200)])
     ranges, bearings = np.hypot(*points.T), np.arctan2(*points.T[::-1])
-    free = cast(index, pose[:2], bearings, 6.0, (person, NO_SEGMENTS))
+    free = cast(index, pose[:2], bearings, 6.0, person)
     assert np.all(ranges <= free + 0.2)  # the person's own measurements carry noise
     assert np.abs(bearings).max() <= np.pi / 2 + 0.05
     open_side = (bearings < -0.1) & (bearings > -1.2)
@@ -201,11 +201,11 @@ def test_only_the_nearest_are_kept_when_there_are_too_many():
 
 def test_beams_measure_what_comes_first():
     plan, rng = plan_with([], inner=[(23, 10, 23, 30)]), np.random.default_rng(13)
-    person, box = np.array([[18.0, 20.0, 0.5]]), np.array([[19.0, 22.0, 21.0, 22.0]])
+    moving = np.array([[18.0, 20.0, 0.5]]), np.array([[19.0, 22.0, 21.0, 22.0]])
     sensor = sensor_in(plan, beams=BeamSpec(count=36, range=6.0, sigma=0.05))
-    sweeps = [sensor.beams(POSE, rng, person, box) for _ in range(1500)]
+    sweeps = [sensor.beams(POSE, rng, moving) for _ in range(1500)]
     ranges, bearings = np.array([beams.ranges for beams in sweeps]), sweeps[0].bearings
-    true = cast(wall_index(plan.walls), POSE[:2], POSE[2] + bearings, 6.0, (person, box))
+    true = cast(wall_index(plan.walls), POSE[:2], POSE[2] + bearings, 6.0, moving)
     hit = true < 6.0
     assert 10 < hit.sum() < 30
     np.testing.assert_array_equal(ranges[:, ~hit], 6.0)
