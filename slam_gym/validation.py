@@ -87,6 +87,13 @@ def check_settings(settings: object) -> None:
             )
 
 
+class Checked:
+    """Base of settings dataclasses: `check_settings` when they are made."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:
     """Raise ValueError, naming it, unless an argument is a number from 0 to `greatest`."""
     if not (isinstance(value, int | float | np.number) and 0.0 <= value <= greatest):

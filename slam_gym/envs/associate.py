@@ -163,13 +163,10 @@ class AssociateEnv(BaseEnv):
             action = action if self.walk.mask[action] else self.K
             reward = self._earned(action)
             self.walk.take(action)
-        learned = run.scans
         self._proceed()
         if self.arguments.reward == "map_error":
-            reward = 0.0
-            if run.scans > learned or self.walk is None:
-                error = run.map_error()
-                reward, self._last_error = self._last_error - error, error
+            error = run.map_error()
+            reward, self._last_error = self._last_error - error, error
         self._ended = self.walk is None
         self._changed()
         return reward

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
 from slam_gym.metrics.point_assignment import Index, assign, indexed
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray, floats
 
 _ROUNDS = 20  # most iterations of an alignment
 
@@ -37,7 +37,7 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
 
     Raises ValueError for points that are not finite, p < 1 or a cutoff c that is not positive.
     """
-    estimated, true = _points("estimated", estimated), _points("true", true)
+    estimated, true = floats("estimated", estimated, (-1, 2)), floats("true", true, (-1, 2))
     if not (p >= 1.0 and 0.0 < cutoff < math.inf):
         raise ValueError(f"GOSPA needs p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
     _, localisation, pairs = assign(estimated, indexed(true, cutoff), p)
@@ -201,15 +201,8 @@ def coverage(cells: NDArray[np.uint8], places: IntArray) -> float:
     return known / len(places) if len(places) else math.nan
 
 
-def _points(name: str, points: Array) -> Array:
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"{name} must be points (k, 2), got shape {points.shape}")
-    return points
-
-
 def _pairs(a: Array, b: Array) -> tuple[Array, Array]:
-    a, b = _points("estimated", a), _points("true", b)
+    a, b = floats("estimated", a, (-1, 2)), floats("true", b, (-1, 2))
     if a.shape != b.shape:
         raise ValueError(f"paired points must have one shape, got {a.shape} and {b.shape}")
     if not (np.isfinite(a).all() and np.isfinite(b).all()):

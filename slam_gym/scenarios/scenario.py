@@ -17,7 +17,7 @@ import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.validation import check_settings, known_names, one_of
+from slam_gym.validation import Checked, known_names, one_of
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
@@ -33,19 +33,16 @@ _Record = TypeVar("_Record")
 
 
 @dataclass(frozen=True)
-class KidnappingSpec:
+class KidnappingSpec(Checked):
     """The robot is carried elsewhere, and neither its odometry nor any other measurement shows it."""
 
     at: float = 0.5  # fraction of the budget after which it happens
     inside: bool = True  # to a place where it has been; False: to the place farthest from all where it has been
     distance: float = 5.0  # [m] least distance from its last place, if possible; for `inside`
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Checked):
     """Everything that defines an episode, except its seed."""
 
     name: str
@@ -66,7 +63,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if not isinstance(self.budget, int):
             raise ValueError(f"Scenario.budget={self.budget}: expected a whole number of ticks")
-        check_settings(self)
+        super().__post_init__()
 
 
 def world_seed(split: str, index: int) -> int:

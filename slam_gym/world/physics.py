@@ -16,7 +16,7 @@ import pymunk
 
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
-from slam_gym.validation import check_settings
+from slam_gym.validation import Checked
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
 from slam_gym.world.ray_casting import outlines
@@ -29,7 +29,7 @@ _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the 
 
 
 @dataclass(frozen=True)
-class RobotSpec:
+class RobotSpec(Checked):
     """A disc on two driven wheels."""
 
     radius: float = 0.2  # [m]
@@ -40,12 +40,9 @@ class RobotSpec:
     max_angular_acceleration: float = 10.0  # [rad/s²]
     traction: float = 0.6  # the wheels push with at most traction · mass · g
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class DynamicsSpec:
+class DynamicsSpec(Checked):
     """Time steps, friction, furniture and people."""
 
     tick: float = 0.1  # [s]
@@ -56,9 +53,6 @@ class DynamicsSpec:
     people: int = 0
     person_radius: float = 0.25  # [m]
     person_speed: float = 0.8  # [m/s]
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

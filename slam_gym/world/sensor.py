@@ -15,8 +15,8 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
-from slam_gym.validation import check_settings
+from slam_gym.types import SPURIOUS, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.validation import Checked
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NOTHING, Grid, Moving, Packed, cast, pull_back, sees
 
@@ -27,7 +27,7 @@ _SURFACE = 1e-3  # [m] a line of sight to a person ends this far before the pers
 
 
 @dataclass(frozen=True)
-class SensorSpec:
+class SensorSpec(Checked):
     """The detector of point features."""
 
     range: float = 6.0  # [m] farthest feature that is seen
@@ -49,7 +49,7 @@ class SensorSpec:
         return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if not self.min_range < self.range:
             raise ValueError(f"SensorSpec.min_range={self.min_range}: expected less than the range, {self.range} m")
         if self.range_sigma == 0.0 and self.range_sigma_ratio == 0.0:
@@ -57,7 +57,7 @@ class SensorSpec:
 
 
 @dataclass(frozen=True)
-class BeamSpec:
+class BeamSpec(Checked):
     """The range finder, the only source of information on free space and walls."""
 
     count: int = 40
@@ -65,12 +65,9 @@ class BeamSpec:
     range: float = 6.0  # [m]
     sigma: float = 0.03  # [m]
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class OdometrySpec:
+class OdometrySpec(Checked):
     """Noise of the odometry. Variances add up along the path, independently of its division into ticks."""
 
     forward: float = 0.03  # [m/√m] along the heading
@@ -82,9 +79,6 @@ class OdometrySpec:
     slip_lateral: float = 0.4  # [m/m]
     slip_turn: float = 0.7  # [rad/m]
     slip_floor: float = 0.005  # [m] and [rad] per tick, while the robot touches something
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class Sensor:
@@ -109,7 +103,7 @@ class Sensor:
         self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
         self._wheels = tuple(map(float, astuple(self.odometry_spec)))
         self._walls = walls
-        self._features = plan.features
+        self._kinds = plan.features.kinds
         self._targets = plan.features.positions, pull_back(plan.features)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
@@ -127,15 +121,11 @@ class Sensor:
         points, covariances, sizes, size_variances, sources = _measure(
             self._walls, pose, seen, self._sizes, moving, noise, self._settings
         )
-        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(len(sources), UNKNOWN_KIND)
+        kinds: Any = None
+        if self.spec.kinds and len(self._kinds):  # the kinds of spurious measurements are those of random features
+            drawn = self._kinds[rng.integers(len(self._kinds), size=len(sources))]
+            kinds = np.where(sources == SPURIOUS, drawn, self._kinds[sources])
         return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
-
-    def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
-        """Kind (m,) of each measurement; kinds of spurious ones are drawn from the plan's features, if it has any."""
-        known = self._features.kinds
-        if len(known) == 0:
-            return np.full(len(sources), UNKNOWN_KIND)
-        return np.where(sources == SPURIOUS, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(self, pose: Array, rng: np.random.Generator, moving: Moving = NOTHING) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to the first surface, or the full range."""

@@ -71,7 +71,7 @@ def test_bad_points_are_refused():
         map_error(good, good, 0.0)
     with pytest.raises(ValueError, match="cutoff"):
         gospa(good, good, cutoff=-1.0)
-    with pytest.raises(ValueError, match=r"\(k, 2\)"):
+    with pytest.raises(ValueError, match=r"\(m, 2\)"):
         gospa(np.zeros((3, 3)), good)
     with pytest.raises(ValueError, match="one shape"):
         landmark_rmse(good, np.zeros((3, 2)))
