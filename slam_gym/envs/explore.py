@@ -208,8 +208,9 @@ class ExploreEnv(BaseEnv):
     def _checked(self, action: Any) -> Any:
         if self.goal_mode:
             return super()._checked(action)
-        if np.shape(action) == (2,):
-            forward, turn = map(float, action)
+        if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
+            first, second = action.tolist() if isinstance(action, np.ndarray) else action
+            forward, turn = float(first), float(second)
             if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
                 return forward, turn
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
@@ -235,7 +236,8 @@ class ExploreEnv(BaseEnv):
         right, *wrong, missed = [
             after - before for after, before in zip(episode.identities.decided, self._decided_before)
         ]
-        sources, truth = np.full(self.measurements, SPURIOUS), episode.truth
+        sources, truth = np.empty(self.measurements, np.int64), episode.truth
+        sources.fill(SPURIOUS)
         sources[: len(truth.sources)] = truth.sources
         info: Info = {
             "map_error": episode.map_error(),
