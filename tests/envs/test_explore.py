@@ -66,7 +66,7 @@ def test_a_lying_truth_changes_no_observation_and_no_reward(associator, action, 
 
     def lie(self, *args):
         scan, truth = honest_scan(self, *args)
-        names = np.random.default_rng(0).permutation(1 + len(self._features)) - 1  # of SPURIOUS, too
+        names = np.random.default_rng(0).permutation(1 + len(self._kinds)) - 1  # of SPURIOUS, too
         return scan, Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1])
 
     monkeypatch.setattr(Sensor, "scan", lie)
