@@ -155,10 +155,10 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
     from agents.evaluation.episodes import begin_episode
 
     observation, info = begin_episode(env, game.agent, world)
-    ended, verdict = False, list[str]()
+    ended, verdict = False, ""
     for count in itertools.count():
         picture: Any = env.render()
-        show(window, picture, [game.state(env.unwrapped.episode), *verdict, KEYS])  # type: ignore[attr-defined]
+        show(window, picture, [game.state(env.unwrapped.episode), verdict, KEYS])  # type: ignore[attr-defined]
         if count == 0 and not window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
         if count == steps:
@@ -173,8 +173,8 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
         if not ended:
             observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
             if ended:
-                verdict = [_verdict(game, world, info)]
-                print(verdict[0])
+                verdict = _verdict(game, world, info)
+                print(verdict)
 
 
 def _verdict(game: Game, world: int, info: Info) -> str:
