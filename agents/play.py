@@ -140,8 +140,9 @@ class Game:
             env.close()
         return self.rivals[world]
 
-    def state(self, episode: Any) -> str:
+    def state(self, env: gym.Env[Any, Any]) -> str:
         """A line about the present state."""
+        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
         associator = self.associators[0] if self.associators else "true_association"
         return (
             f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
@@ -158,7 +159,7 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
     ended, verdict = False, ""
     for count in itertools.count():
         picture: Any = env.render()
-        show(window, picture, [game.state(env.unwrapped.episode), verdict, KEYS])  # type: ignore[attr-defined]
+        show(window, picture, [line for line in (game.state(env), verdict, KEYS) if line])
         if count == 0 and not window.is_visible:
             print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
         if count == steps:

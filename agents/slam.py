@@ -86,3 +86,6 @@ def main(
 
 
 app = command(main, "slam-gym slam mine.csv --associator learned --output mapped")
+
+if __name__ == "__main__":
+    app()

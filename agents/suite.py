@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -164,18 +164,22 @@ def ask(name: str, function: Callable[..., Any], problem: Problem | RelocationPr
     return function(problem.scan, problem.prediction)
 
 
-JUDGED = ("right", "wrong", "refused", "mapped")
-"""The counts of `judge`."""
+class Judgement(NamedTuple):
+    """The judgement on a hypothesis, in numbers of measurements."""
+
+    right: int
+    wrong: int
+    refused: int  # measurements of a mapped feature that are left unpaired
+    mapped: int  # measurements of a mapped feature
 
 
-def judge(features: IntArray, right: IntArray) -> tuple[int, ...]:
-    """Numbers of measurements, for the features (m,) of a hypothesis and the right ones (m,): paired rightly and
-    wrongly, of a mapped feature but left unpaired, and of a mapped feature. Raises ValueError for different lengths."""
+def judge(features: IntArray, right: IntArray) -> Judgement:
+    """Compare the features (m,) of a hypothesis with the right ones (m,). Raises ValueError for different lengths."""
     if len(features) != len(right):
         raise ValueError(f"{len(features)} decisions for {len(right)} measurements")
     paired, mapped = features != UNPAIRED, right != UNPAIRED
-    agreed = paired & (features == right)
-    return tuple(int(rows.sum()) for rows in (agreed, paired & ~agreed, mapped & ~paired, mapped))
+    agreed = int((paired & (features == right)).sum())
+    return Judgement(agreed, int(paired.sum()) - agreed, int((mapped & ~paired).sum()), int(mapped.sum()))
 
 
 # -- without a prior -------------------------------------------------------------------------------------------------
@@ -263,8 +267,8 @@ def association_record(answers: Sequence[Hypothesis], right: Sequence[IntArray])
     are paired.
     """
     judged = [judge(hypothesis.features, features) for hypothesis, features in zip(answers, right)]
-    scans = pd.DataFrame(judged, columns=JUDGED, dtype=float)
-    agreed, wrong, refused, mapped = (scans[name] for name in JUDGED)
+    scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
+    agreed, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
     scores = ((agreed - WRONG_COST * wrong) / mapped).clip(lower=-1.0)
     return {
         "problems": len(scans),

@@ -61,7 +61,9 @@ def drive(
 
 
 # Agents and environments are cached for the next task of the same process.
-_agent = lru_cache(maxsize=8)(Driver.make)
+@lru_cache(maxsize=8)
+def _agent(driver: Driver) -> Agent:
+    return driver.make()
 
 
 @lru_cache(maxsize=4)

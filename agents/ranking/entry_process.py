@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from agents.drivers.base import ActionKind, Info, Observation, find_agent, legal_goals, make_agent
 from slam_gym.association import resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Prediction
-from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan, floats
+from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
+from slam_gym.types._fields import floats
 from slam_gym.validation import check_hypothesis
 
 LIMIT = 60.0  # [s] for an answer

@@ -90,8 +90,10 @@ def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
         return [{"loss": LOST, "failed": str(error)}]
 
 
-process = functools.lru_cache(maxsize=4)(EntryProcess)
-"""The process of an entry by role and name. Each process of the evaluation has one."""
+@functools.lru_cache(maxsize=4)
+def process(role: Role, name: str) -> EntryProcess:
+    """The process of an entry. Each process of the evaluation has one."""
+    return EntryProcess(role, name)
 
 
 def _searcher(name: str, role: Role) -> Any:

@@ -217,7 +217,8 @@ def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None
     }
     for label, (rows, colour) in kinds.items():
         if rows.any():
-            axis.plot("aligned_x", "aligned_y", ".", data=shown[rows], color=colour, markersize=4.5, label=label)
+            chosen = shown[rows]
+            axis.plot(chosen["aligned_x"], chosen["aligned_y"], ".", color=colour, markersize=4.5, label=label)
 
 
 def errors_over_time(errors: Frames, colour: Colours) -> Figure:

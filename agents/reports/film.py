@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from agents.evaluation.tables import display_name
 from slam_gym.association.prediction import Associator
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import pixels, pygame, text
+from slam_gym.simulation.episode import Episode
 
 FRAMES = 300
 RATE = 20  # [frames/s]
@@ -72,26 +74,27 @@ def _shots(
 ) -> list[Shot]:
     """The shots of one episode, in the order of their ticks; the last shows the end of the episode."""
     agent, shots, wrong = driver.make(), list[Shot](), False
-    env: Any = arguments.make(agent.action, render_mode="rgb_array", associator=associator).unwrapped
-    stride = max(1, round(env.scenario.budget / FRAMES))
+    env = arguments.make(agent.action, render_mode="rgb_array", associator=associator)
+    stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
 
-    def shoot(frames: int) -> None:
-        picture = env.render()
-        shots.append(Shot(env.episode.ticks, zlib.compress(picture.tobytes(), 1), picture.shape, frames))
-
-    def watch(_: Any) -> None:
+    def watch(env: gym.Env[Any, Any]) -> None:
         nonlocal wrong
-        run = env.episode
+        run = env.unwrapped.episode  # type: ignore[attr-defined]
         first_wrong, wrong = not wrong and run.identities.total.fp > 0, run.identities.total.fp > 0
-        moments = [tick for tick in (run.kidnapping.happened, run.kidnapping.recovered) if tick is not None]
-        frames = RATE if first_wrong else SLOW if any(0 <= run.ticks - tick < 4 for tick in moments) else 1
+        frames = RATE if first_wrong else SLOW if _is_slow(run) else 1
         if frames > 1 or run.ticks % stride == 0:
-            shoot(frames)
+            shots.append(_shot(env, frames))
 
     run_episode(env, agent, episode, watch)
-    shoot(RATE)
+    shots.append(_shot(env, RATE))
     env.close()
     return shots
+
+
+def _shot(env: gym.Env[Any, Any], frames: int) -> Shot:
+    picture = np.asarray(env.render(), dtype=np.uint8)
+    ticks: int = env.unwrapped.episode.ticks  # type: ignore[attr-defined]
+    return Shot(ticks, zlib.compress(picture.tobytes(), 1), picture.shape, frames)
 
 
 def _cut(reels: Sequence[Sequence[Shot]], path: Path, names: Sequence[str] = ()) -> Path:
@@ -120,3 +123,9 @@ def _heading(words: str, width: int) -> NDArray[np.uint8]:
     line = text(words, 18, symbols.INK, bold=True)
     strip.blit(line, ((width - line.get_width()) // 2, 6))
     return pixels(strip)
+
+
+def _is_slow(episode: Episode) -> bool:
+    """Whether the robot has just been carried away or relocated, so that the film slows down."""
+    moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
+    return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)

@@ -305,10 +305,11 @@ def recordings_page(results: Results, folder: Path) -> Page:
 
 def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
     """Two tables of one log, or of means: the most important columns, and further ones. Empty columns are left out."""
-    filled = frame.set_index("name").dropna(axis=1, how="all")
+    numbers = frame.set_index("name")[[column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]].astype(float)
+    filled = numbers.dropna(axis=1, how="all")
     notes = "\n".join(note for key, note in LOG_NOTES.items() if key in filled)
     first, further = ([c for c in shown if c.key in filled] for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS))
-    rows = filled[[c.key for c in (*first, *further)]].astype(float).to_dict("index")
+    rows = filled.to_dict("index")
     return [Table(title, "associator", first, rows, notes), Table("", "associator", further, rows, "", detail=True)]
 
 

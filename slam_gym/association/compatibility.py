@@ -79,13 +79,13 @@ def individual(
 
 @compiled
 def gate_pairings(
-    measured: Gaussians, expected: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float, most: int
+    scan: Gaussians, predicted: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float, most: int
 ) -> Candidates:
     """`individual` for eligible rows (k,), or all if (0,), with the `most` nearest of each measurement."""
-    (points, noise), (positions, covariances) = measured, expected
-    offered = _offered(measured, expected, measurements, eligible, gate)
+    (points, noise), (positions, covariances) = scan, predicted
+    offered = _offered(scan, predicted, measurements, eligible, gate)
     count, capacity = 0, len(measurements) * len(offered)
-    starts, paired = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
+    starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
     slots, distances, innovations = np.empty(capacity, np.int64), np.empty(capacity), np.empty((capacity, 2))
     for level in range(len(measurements)):
         i = measurements[level]
@@ -112,10 +112,11 @@ def gate_pairings(
                 slots[place], distances[place] = slots[place - 1], distances[place - 1]
                 innovations[place, 0], innovations[place, 1] = innovations[place - 1, 0], innovations[place - 1, 1]
                 place -= 1
-            paired[count], slots[place], distances[place] = i, o, distance
+            measured[count], slots[place], distances[place] = i, o, distance
             innovations[place, 0], innovations[place, 1] = x, y
             count += 1
         starts[level + 1] = count
+    # the rows that occur, ascending, and the index of each among them
     rows, number, distinct = np.empty(len(offered), np.int64), np.full(len(offered), -1), 0
     for c in range(count):
         number[slots[c]] = 0
@@ -126,17 +127,20 @@ def gate_pairings(
     for c in range(count):
         slots[c] = number[slots[c]]
     return Candidates(
-        measurements, starts, paired[:count], slots[:count], distances[:count], innovations[:count], rows[:distinct],
+        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows[:distinct],
         capacity,
     )  # fmt: skip
 
 
 @compiled
 def _offered(
-    measured: Gaussians, expected: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float
+    scan: Gaussians, predicted: Gaussians, measurements: IntArray, eligible: BoolArray, gate: float
 ) -> IntArray:
-    """The eligible rows whose gate reaches into the bounding box of the measurements; checks all numbers."""
-    (points, noise), (positions, covariances) = measured, expected
+    """The eligible rows whose gate reaches into the bounding box of the measurements; no other row is compatible.
+
+    Raises ValueError for the first invalid number of a measurement or feature, even of one that is not considered.
+    """
+    (points, noise), (positions, covariances) = scan, predicted
     for i in range(len(points)):
         if not math.isfinite(points[i, 0] + points[i, 1]):
             raise ValueError(f"scan.points[{i}] is not finite")

@@ -24,19 +24,8 @@ from slam_gym.mapping.linear_algebra import padded
 from slam_gym.mapping.measurement import RowArrays, foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
-from slam_gym.types import (
-    Array,
-    BoolArray,
-    Entry,
-    Experience,
-    Hypothesis,
-    IntArray,
-    Odometry,
-    Scan,
-    floats,
-    kinds_of,
-    sizes_of,
-)
+from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
+from slam_gym.types._fields import Entry, floats, kinds_of, sizes_of
 
 SourceArrays = tuple[Array, Array, Array, IntArray, IntArray, SightArrays, Array]
 """The arrays for further queries: predicted pose and variance of its heading (4,); state x and covariance P (upper

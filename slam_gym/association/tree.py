@@ -59,6 +59,11 @@ class Tree(NamedTuple):
         """Number of decisions from the root to a leaf."""
         return len(self.candidates.measurements)
 
+    def level(self, number: int) -> tuple[int, int]:
+        """Indices of the first pairing of a level and of the first one after it."""
+        first, last = self.candidates.starts[number : number + 2].tolist()
+        return first, last
+
 
 class Innovation(NamedTuple):
     """e and S of a pairing, conditioned on the pairings before it."""
@@ -121,7 +126,7 @@ def branches(tree: Tree, node: Node) -> Branches:
     """The branches of `node`. Raises ValueError at a leaf."""
     if node.level >= tree.levels:
         raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
-    first, last = tree.candidates.starts[node.level : node.level + 2].tolist()
+    first, last = tree.level(node.level)
     joint = node.distance + added_by(tree.pairings, node.path, node.added, first, last)
     rows = tree.rows[tree.pairings.slots[first:last]]
     legal = joint < tree.gates[len(node.path) + 1]
@@ -140,7 +145,7 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
     if not len(chosen):
         measurement = tree.candidates.measurements[node.level]
         raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {decided(tree, node)}")
-    first, last = tree.candidates.starts[node.level : node.level + 2].tolist()
+    first, last = tree.level(node.level)
     return add_pairing(tree.pairings, node, first + int(chosen[0]), last)
 
 

@@ -99,8 +99,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     has no watchers and no window. If an argument does not pickle (a lambda as associator), the `snapshot` still does.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
-
     settings: type[Settings] = Settings  # names and defaults of the arguments
 
     def __init__(self, settings: Settings) -> None:

@@ -116,7 +116,7 @@ class ExploreEnv(BaseEnv):
       per tick.
     """
 
-    metadata = BaseEnv.metadata | {"render_fps": 10}
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
 
     settings = ExploreSettings
     arguments: ExploreSettings
@@ -184,11 +184,13 @@ class ExploreEnv(BaseEnv):
     def _act(self, action: Any) -> float:
         episode = self._episode
         self._begin_step()
-        driven: Iterable[Command] = (action,)
+        orders: Iterable[Command]
         if self.goal_mode:
             slot = action if self._goals.legal[action] else LOOK
-            driven = commands(episode, slot, self._goals.positions[slot], self._goals.ways)
-        for forward, turn in driven:
+            orders = commands(episode, slot, self._goals.positions[slot], self._goals.ways)
+        else:
+            orders = [(action[0], action[1])]
+        for forward, turn in orders:
             episode.tick(forward, turn)
             self._changed()
         error = self._error(episode)

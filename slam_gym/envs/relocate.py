@@ -111,6 +111,8 @@ class RelocateEnv(BaseEnv):
     - `associator`: the associator with which the map is made.
     """
 
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
+
     settings = RelocateSettings
     arguments: RelocateSettings
 

@@ -23,7 +23,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.mapping.update import update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
-from slam_gym.validation import check_settings
+from slam_gym.validation import Checked
 
 _LARGEST_FILE = 1 << 30  # [bytes] of a map
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
@@ -39,7 +39,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class MapSpec:
+class MapSpec(Checked):
     """Settings of the estimator."""
 
     confidence: float = 0.99  # of the χ² gates in data association
@@ -49,9 +49,6 @@ class MapSpec:
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
     unconfirmed_age: int | None = 2  # [steps] age above which a provisional feature is removed; None: never
     settled: ClassVar[float] = 0.1  # [σ of the state] iterations end when the next would move the state by less
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

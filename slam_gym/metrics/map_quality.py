@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
 from slam_gym.metrics.point_assignment import Index, assign, indexed
-from slam_gym.types import UNPAIRED, Array, IntArray, floats
+from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.types._fields import floats
 
 _ROUNDS = 20  # most iterations of an alignment
 

@@ -21,7 +21,8 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
-from slam_gym.types import Array, compact
+from slam_gym.types import Array
+from slam_gym.types._fields import compact
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
 _SHORT = 2.0  # [cells] lines of sight end this far before the feature, which may stand on a wall

@@ -89,9 +89,7 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
-        corners = observe(self.base, site.plan.bounds[[[0, 1], [2, 1], [2, 3], [0, 3]]])
-        bounds = np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
-        self.grid = ExploredGrid(bounds, scenario.grid_resolution)
+        self.grid = ExploredGrid(_bounds_in_base(site.plan.bounds, self.base), scenario.grid_resolution)
         self._cells = self.grid.cells  # a view, which changes with the grid
         sensor = scenario.sensor
         sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=self.grid.explored)
@@ -112,7 +110,7 @@ class Episode:
         self.estimates: list[Array] = []  # (3,) estimated poses in B, one per tick
         self.nees: list[float] = []  # of the pose; NaN in a second map, whose pose in B is not estimated
         self.path = np.empty((0, 2))  # (p, 2) in B, the path that the driver follows now
-        self.places = Places()  # where the robot has been, but not its start
+        self.places = Places()  # where the robot has been; ExploreEnv adds the start after the first decision
         self.tried = Tried()  # frontiers that were driven to and are still frontiers
         self.ticks = -1  # the first scan, at the start, does not count as a tick
         self._appraised, self._appraised_at = (1.0, 0.0), -1  # map error and coverage, and their tick
@@ -125,7 +123,7 @@ class Episode:
         self.end_tick(prediction, self._judged.associate(self.scan, prediction, self.truth))
 
     def begin_tick(self, forward: float, turn: float) -> Prediction:
-        """The first half of a tick with an outside associator: drive, take a scan, and predict it."""
+        """The first half of a tick: drive, take a scan, and predict it."""
         motion = self.world.tick(forward, turn)
         carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
         if carried_to is not None:
@@ -133,7 +131,7 @@ class Episode:
         return self._sense(motion)
 
     def end_tick(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
-        """The second half: complete the SLAM step with the outside `hypothesis` on the scan, and explore."""
+        """The second half: complete the SLAM step with a `hypothesis` on the scan, and explore."""
         self.last_step = self._judged.learn(self.scan, prediction, hypothesis, self.truth)
         if not self.slam.doubted:  # a wrong pose would draw walls where there are none
             self._explore()
@@ -201,3 +199,10 @@ class Episode:
             self._appraised = error, map_quality.coverage(self._cells, self._reachable)
             self._appraised_at = self.ticks
         return self._appraised
+
+
+def _bounds_in_base(bounds: Array, base: Array) -> Array:
+    """Bounds (4,) in B that contain the rectangle `bounds` (4,) in W, with a margin."""
+    x0, y0, x1, y1 = bounds
+    corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+    return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

@@ -167,7 +167,11 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
 def _views(
     scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, reached: DistanceField, spots: Array
 ) -> tuple[Array, Array]:
-    """(q,) fraction of the path to each spot with fewer than `ENOUGH` features in view, (q,) their mean number."""
+    """The features in view on the paths to `spots` (q, 2), the first of which is the position of the robot.
+
+    Returns the fraction of each path with fewer than `ENOUGH` features in view (q,), and the mean number of features in
+    view (q,), from predictions every `_LOOKOUT` metres.
+    """
     points, counts = reached.along_each(spots[1:], _LOOKOUT)
     counts = np.append(1, counts)
     looks = np.concatenate([spots[:1], points])
@@ -179,9 +183,13 @@ def _views(
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array, blind: Array) -> Array:
-    """(q,) [m²] expected reduction of the map's variance by a stay at each spot, with `blind` metres (q,) before."""
+    """(q,) [m²] expected reduction of the map's variance by a stay at each spot.
+
+    The known map limits the drift to that of one metre, plus that of the `blind` length (q,) [m] of the path, where too
+    few features are in view to determine the pose.
+    """
     sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
-    odometry = scenario.odometry  # the map limits the drift to that of one metre, but not where too little is in view
+    odometry = scenario.odometry
     drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre]) * np.sqrt(1.0 + blind[:, None])
     return expected_reduction(
         slam_map.mean, slam_map.covariance, grid, spots, reach=scenario.sensor.range, sigma=sigma, drift=drift

@@ -105,14 +105,15 @@ def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random
 
 
 def _explore(episode: Episode) -> None:
-    slot, goal = LOOK, np.zeros(2)
-    while not episode.over:
+    def carry_out(slot: int, goal: Array) -> None:
         for forward, turn in commands(episode, slot, goal):
             episode.tick(forward, turn)
-        if not episode.over:
-            goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
-            slot = nearest_frontier(goals, episode.rng)
-            goal = goals.positions[slot]
+
+    carry_out(LOOK, np.zeros(2))
+    while not episode.over:
+        goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
+        slot = nearest_frontier(goals, episode.rng)
+        carry_out(slot, goals.positions[slot])
 
 
 def _identities(episode: Episode) -> IntArray:

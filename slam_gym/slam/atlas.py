@@ -50,19 +50,16 @@ from slam_gym.slam.places.loops import find_loop
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
-from slam_gym.validation import check_settings
+from slam_gym.validation import Checked
 
 
 @dataclass(frozen=True)
-class AtlasSpec:
+class AtlasSpec(Checked):
     """Settings of an atlas."""
 
     recognition: RecognitionSpec = field(default_factory=RecognitionSpec)
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] between attempts to recognise an inactive map
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class FusionRecord(NamedTuple):

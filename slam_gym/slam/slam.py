@@ -36,7 +36,7 @@ from slam_gym.types import (
     Relocation,
     Scan,
 )
-from slam_gym.validation import check_hypothesis, check_inputs, check_settings
+from slam_gym.validation import Checked, check_hypothesis, check_inputs
 
 _NO_FEATURES = np.empty(0, np.int64)
 _SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped
@@ -45,7 +45,7 @@ STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True)
-class SlamSpec:
+class SlamSpec(Checked):
     """Settings of a SLAM run."""
 
     map: MapSpec = field(default_factory=MapSpec)
@@ -62,9 +62,6 @@ class SlamSpec:
     # all pairings with old features are rejected; 1: never
     trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from these two rules, and say which
     # measurements are new; both rules need an atlas
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class Slam:

@@ -189,7 +189,10 @@ def _covered(rectangles: Array, xs: Array, ys: Array) -> BoolArray:
 
 
 def _runs(edges: BoolArray, corners: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Maximal runs of `edges` (lines, cells), cut at `corners` (lines, cells + 1): line, first and last corner (s,)."""
+    """Maximal runs of wall along the grid lines, cut at corners: the line, first and last grid point of each, (s,).
+
+    `edges` (lines, cells) says where a line separates free from blocked, `corners` (lines, cells + 1) where it turns.
+    """
     joined = np.pad(edges, ((0, 0), (1, 1)))
     lines, first = np.nonzero(joined[:, 1:] & (~joined[:, :-1] | corners))
     _, last = np.nonzero(joined[:, :-1] & (~joined[:, 1:] | corners))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from pathlib import Path
-from reprlib import repr as short  # in one line, for messages
 from typing import Any
 
 import numpy as np
@@ -89,7 +89,9 @@ def _parse(path: Path) -> FloorPlan:
     keys = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
     format_, version, name, walls, features, rooms, doors, furniture = _values("file", document, keys)
     if (format_, version) != (FORMAT, VERSION):
-        raise FloorPlanError("format, version", f"{short(format_)}, {short(version)}: expected {FORMAT!r}, {VERSION}")
+        raise FloorPlanError(
+            "format, version", f"{reprlib.repr(format_)}, {reprlib.repr(version)}: expected {FORMAT!r}, {VERSION}"
+        )
     positions, names, sizes = _columns("features", features, ("position", "kind", "size"))
     known = [kind.name.lower() for kind in Kind]
     if unknown := [f"features[{i}].kind" for i, kind in enumerate(names) if kind not in known]:
@@ -115,7 +117,9 @@ def _values(where: str, record: Any, keys: tuple[str, ...]) -> list[Any]:
     if not isinstance(record, dict):
         raise FloorPlanError(where, "is not an object")
     if odd := sorted(set(record) ^ set(keys)):
-        raise FloorPlanError(where, f"the key {short(odd[0])} is missing or unknown; known are {', '.join(keys)}")
+        raise FloorPlanError(
+            where, f"the key {reprlib.repr(odd[0])} is missing or unknown; known are {', '.join(keys)}"
+        )
     return [record[key] for key in keys]
 
 
@@ -160,10 +164,10 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
     negate = values["negate"] if isinstance(values["negate"], bool) else _number("negate", values["negate"])
     origin = values["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
-        raise FloorPlanError("origin", f"{short(origin)} is not [x, y, 0]")
+        raise FloorPlanError("origin", f"{reprlib.repr(origin)} is not [x, y, 0]")
     x, y = _number("origin", origin[0]), _number("origin", origin[1])
     if max(abs(x), abs(y)) > MAX_EXTENT:
-        raise FloorPlanError("origin", f"{short(origin)} lies beyond {MAX_EXTENT:g} m")
+        raise FloorPlanError("origin", f"{reprlib.repr(origin)} lies beyond {MAX_EXTENT:g} m")
     image = _read_image(path.parent / str(values.get("image")))
     if image.dtype != np.uint8:
         raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
@@ -210,5 +214,5 @@ def _read_image(path: Path) -> NDArray[Any]:
 def _number(field: str, value: Any) -> float:
     """A finite number from a file. Raises FloorPlanError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
-        raise FloorPlanError(field, f"{short(value)} is not a number, or too large")
+        raise FloorPlanError(field, f"{reprlib.repr(value)} is not a number, or too large")
     return float(value)

@@ -139,7 +139,10 @@ def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furnitu
 
 @compiled
 def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, choice: float) -> Array:
-    """A path (q, 2) [m] over free cells from `place` (2,) to one of the farther half in reach: number `choice` < 1."""
+    """A path (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of the cells in reach.
+
+    `choice` in [0, 1) selects the destination.
+    """
     rows, columns = free.shape
     start = round((place[1] - origin[1]) / cell) * columns + round((place[0] - origin[0]) / cell)
     parents, steps = np.zeros(rows * columns, np.int64), np.zeros(rows * columns, np.int64)

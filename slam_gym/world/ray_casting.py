@@ -50,8 +50,10 @@ Packed = tuple[Array, IntArray, IntArray, float, float, float, int, int]
 def wall_index(walls: Array, cell: float = 1.0) -> Packed:
     """Static walls (s, 4) [m] x1 y1 x2 y2, indexed once for many ranges and lines of sight.
 
-    `cell` [m] is the side of the grid's cells, doubled until a million of them suffice.
+    `cell` [m] is the side of the grid's cells, doubled until a million of them suffice. Returns the fields of a `Grid`,
+    with a copy of the walls.
     """
+    walls = np.array(walls, np.float64, order="C")
     ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
     low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
     while np.prod(extent // cell + 1.0) > _MAX_CELLS:

@@ -15,7 +15,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import SPURIOUS, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.validation import Checked
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NOTHING, Grid, Moving, Packed, cast, pull_back, sees
@@ -121,7 +121,7 @@ class Sensor:
         points, covariances, sizes, size_variances, sources = _measure(
             self._walls, pose, seen, self._sizes, moving, noise, self._settings
         )
-        kinds: Any = None
+        kinds = np.full(len(sources), UNKNOWN_KIND)
         if self.spec.kinds and len(self._kinds):  # the kinds of spurious measurements are those of random features
             drawn = self._kinds[rng.integers(len(self._kinds), size=len(sources))]
             kinds = np.where(sources == SPURIOUS, drawn, self._kinds[sources])
@@ -140,9 +140,13 @@ class Sensor:
         return Odometry(out[0], out[1:])
 
 
-_named: Any = namedtuple  # compiled functions read the values of a specification by name
-_Settings = _named("_Settings", [field.name for field in fields(SensorSpec)])
-_Wheels = _named("_Wheels", [field.name for field in fields(OdometrySpec)])
+def _by_name(name: str, specification: type[Any]) -> Any:
+    """The named tuple as which compiled functions read the values of a specification."""
+    return namedtuple(name, [field.name for field in fields(specification)])
+
+
+_Settings = _by_name("_Settings", SensorSpec)
+_Wheels = _by_name("_Wheels", OdometrySpec)
 _Values = tuple[float, ...]
 """The values of a specification, as a plain tuple, which crosses from Python to compiled functions faster."""
 

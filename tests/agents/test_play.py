@@ -69,7 +69,7 @@ def test_associator_and_relocation_are_switched_while_the_robot_drives(play_with
     controls = Script((2, [(DOWN, pygame.K_c)]), (3, [(DOWN, pygame.K_l)]))
     wish, game, env = play_with(controls, 6)
     assert wish == "quit" and game.associators[0] == "nearest_neighbour" and not game.relocating
-    shown = game.state(env.unwrapped.episode)
+    shown = game.state(env)
     assert "tick 6 of 300" in shown and "nearest_neighbour" in shown and "relocation off" in shown
     assert len(controls.actions) == 6
 

@@ -16,9 +16,10 @@ import numpy as np
 
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.problem import COUNT, LOCATION_LIMIT, Best, Problem, fewest, offer, searched
+from slam_gym.association.relocation.problem import INDEX, LOCATION_LIMIT, Best, Problem, fewest, offer, searched
 from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.validation import check_count
 
 _CLIQUES = 256  # largest cliques tested
 _MAXIMAL = 20_000  # maximal cliques enumerated: their number may grow exponentially with the nodes
@@ -41,12 +42,13 @@ def max_clique(
     tests, no more pairings are dropped. `effort.limit_hit` is set where a limit was reached. `min_pairings` as for
     `gcbb`, which also says what is raised.
     """
+    check_count("node_limit", node_limit)
 
     def search(problem: Problem, best: Best) -> None:
         nodes, edges = _consistent(problem, node_limit)
         cliques, complete = largest_cliques(edges, fewest(best, True))
         if not complete:
-            problem.effort[COUNT.limit_hit] = 1
+            problem.effort[INDEX.limit_hit] = 1
         _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
 
     return searched(scan, landmarks, locality, confidence, min_pairings, search)
@@ -71,7 +73,7 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
     nodes, effort, no_edges = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
     number, edges, count = np.zeros(problem.allowed.shape, np.int64), [no_edges], 0
     number[nodes] = np.arange(len(nodes.features))
-    effort[COUNT.unary_tests], effort[COUNT.nodes] = number.size, len(nodes.features)
+    effort[INDEX.unary_tests], effort[INDEX.nodes] = number.size, len(nodes.features)
     for a, (i, j) in enumerate(zip(*nodes) if len(nodes.features) <= node_limit else ()):
         agreeing = problem.allowed.copy()
         agreeing[: i + 1] = False
@@ -80,18 +82,18 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
         count += len(edges[-1])
         if count > _EDGES:
             break
-    effort[COUNT.limit_hit] = len(nodes.features) > node_limit or count > _EDGES
-    return nodes, no_edges if effort[COUNT.limit_hit] else np.concatenate(edges)
+    effort[INDEX.limit_hit] = len(nodes.features) > node_limit or count > _EDGES
+    return nodes, no_edges if effort[INDEX.limit_hit] else np.concatenate(edges)
 
 
 def _best_of(problem: Problem, hypotheses: list[Path], best: Best) -> None:
     """Enter the hypotheses in `best`; if none is jointly compatible, those that remain after dropping pairings."""
     for path in hypotheses:
-        problem.effort[COUNT.leaves] += 1
+        problem.effort[INDEX.leaves] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
-        if problem.effort[COUNT.joint_tests] >= LOCATION_LIMIT:
-            problem.effort[COUNT.limit_hit] = 1
+        if problem.effort[INDEX.joint_tests] >= LOCATION_LIMIT:
+            problem.effort[INDEX.limit_hit] = 1
             break
         while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
             path = _without_worst(problem, path)
@@ -101,6 +103,6 @@ def _without_worst(problem: Problem, path: Path) -> Path:
     """The path without the pairing whose removal leaves the least D²."""
     scan, k, pose, covariance = problem.scan, len(path.features) - 1, np.empty(3), np.empty((3, 3))
     rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
-    problem.effort[COUNT.joint_tests] += len(rests)
+    problem.effort[INDEX.joint_tests] += len(rests)
     distances = [locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance) for rest in rests]
     return rests[int(np.nan_to_num(distances, nan=math.inf).argmin())]

@@ -16,7 +16,8 @@ import numpy as np
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Locality, Scan, ScanArrays, compact
+from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Locality, Scan, ScanArrays
+from slam_gym.types._fields import compact
 from slam_gym.validation import check_scan
 
 _CLOSE = 16.0  # points are close when less than √16 = 4 σ apart

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.problem import COUNT, Best, Problem, fewest, must_end, offer, searched
+from slam_gym.association.relocation.problem import INDEX, Best, Problem, fewest, must_end, offer, searched
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count
@@ -27,9 +27,11 @@ def gcbb(
 ) -> Relocation:
     """The jointly compatible hypothesis with most pairings among those that satisfy location-independent constraints.
 
-    The search is depth first through the interpretation tree, whose legal branches `relocation.tree` defines; level i
-    decides measurement i, and `*` comes last. A node is visited if pairings so far + levels left > pairings of the
-    best. A leaf that may beat the best is located, and accepted if D² < χ²_{2k−3}.
+    The search is depth first through the interpretation tree; level i decides measurement i. A feature is a legal
+    branch where three conditions hold: the unary constraint, the binary one with every pairing already made, and the
+    same orientation with the first pairing and every other one. `*` comes last. After the first pairing only features
+    local to its feature are offered. A node is visited if pairings so far + levels left > pairings of the best. A leaf
+    that may beat the best is located, and accepted if D² < χ²_{2k−3}.
 
     With `rivals`, nodes that may equal the best are visited too. The hypothesis with most pairings and least D² is then
     returned, and `ties` is the number of the others that imply another pose. Without, the search is that of the paper:
@@ -40,7 +42,7 @@ def gcbb(
 
     `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is looked for. Where `node_limit`,
     `LOCATION_LIMIT` or `TEST_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so far is
-    returned. Raises ValueError for bad numbers in scan or map, and for a locality of another map.
+    returned. Raises ValueError for a node limit below 1, bad numbers in scan or map, and a locality of another map.
     """
     check_count("node_limit", node_limit)
     levels = np.arange(len(scan))
@@ -67,7 +69,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, bes
             level -= 1
             continue
         if level == m:
-            effort[COUNT.leaves] += 1
+            effort[INDEX.leaves] += 1
             offer(best, problem, path, p)
             level -= 1
             continue
@@ -77,7 +79,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, bes
             continue
         if must_end(effort, node_limit):
             break
-        effort[COUNT.nodes] += 1
+        effort[INDEX.nodes] += 1
         if feature != UNPAIRED:
             path.measurements[p], path.features[p] = levels[level], feature
             p += 1

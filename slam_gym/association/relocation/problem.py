@@ -33,7 +33,7 @@ _ORIENTATION_COST = 40  # tests that one of the orientation counts for: most can
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 
 
-class Counts(NamedTuple):
+class EffortIndex(NamedTuple):
     """Index of each count in `Problem.effort`, named as in `Effort`."""
 
     nodes: int = 0
@@ -46,7 +46,7 @@ class Counts(NamedTuple):
     limit_hit: int = 7  # 1 where a limit ended the search
 
 
-COUNT = Counts()
+INDEX = EffortIndex()
 
 
 class Problem(NamedTuple):
@@ -58,7 +58,7 @@ class Problem(NamedTuple):
     allowed: BoolArray  # (m, n) table of the unary constraints; (0, 0): they are tested when needed
     starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all are local to all
     members: IntArray
-    effort: IntArray  # (8,) see `Counts`
+    effort: IntArray  # (8,) see `EffortIndex`
 
 
 class Best(NamedTuple):
@@ -85,7 +85,7 @@ def problem_of(
     arrays = scan_arrays(scan)
     seen, members = measured(arrays, confidence), locality_arrays(locality, len(mapped.positions))
     table = unary_table(arrays[2:], mapped[2:5], seen.gates.one) if tabulate else np.empty((0, 0), np.bool_)
-    return Problem(seen, mapped, location_gates(len(scan), confidence), table, *members, np.zeros(len(COUNT), np.int64))
+    return Problem(seen, mapped, location_gates(len(scan), confidence), table, *members, np.zeros(len(INDEX), np.int64))
 
 
 def searched(
@@ -126,10 +126,10 @@ def nothing_found(measurements: int, least: int | None = None) -> Best:
 @inlined
 def must_end(effort: IntArray, node_limit: int) -> bool:
     """Whether a limit of a search through the interpretation tree is reached; then enters that in `effort`."""
-    tests = effort[COUNT.unary_tests] + effort[COUNT.binary_tests] + _ORIENTATION_COST * effort[COUNT.orientation_tests]
-    if effort[COUNT.nodes] >= node_limit or effort[COUNT.joint_tests] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
-        effort[COUNT.limit_hit] = 1
-    return bool(effort[COUNT.limit_hit] == 1)
+    tests = effort[INDEX.unary_tests] + effort[INDEX.binary_tests] + _ORIENTATION_COST * effort[INDEX.orientation_tests]
+    if effort[INDEX.nodes] >= node_limit or effort[INDEX.joint_tests] >= LOCATION_LIMIT or tests >= TEST_LIMIT:
+        effort[INDEX.limit_hit] = 1
+    return bool(effort[INDEX.limit_hit] == 1)
 
 
 @inlined
@@ -147,7 +147,7 @@ def joint_distance(problem: Problem, path: Path, k: int, pose: Array, covariance
     """
     if k < 2:
         return math.inf
-    problem.effort[COUNT.joint_tests] += 1
+    problem.effort[INDEX.joint_tests] += 1
     distance = locate_pairings(problem.scan.points, problem.scan.noise, problem.mapped, path, k, pose, covariance)
     return distance if distance < problem.joint_gates[k] else math.inf
 
@@ -201,7 +201,7 @@ def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -
         differences[:, 2] = wrap_angles(differences[:, 2])
         squares = np.einsum("ra,ra->r", differences, np.linalg.solve(sums, differences[:, :, None])[:, :, 0])
         ties = int((squares >= problem.joint_gates[-1]).sum())
-    counts: dict[str, Any] = dict(zip(Counts._fields, problem.effort.tolist(), strict=True))
+    counts: dict[str, Any] = dict(zip(INDEX._fields, problem.effort.tolist(), strict=True))
     spent = Effort(**counts | {"limit_hit": counts["limit_hit"] > 0, "seconds": seconds})
     dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
     return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)

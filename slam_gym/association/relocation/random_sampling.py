@@ -10,7 +10,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import place_of
 from slam_gym.association.relocation.problem import (
-    COUNT,
+    INDEX,
     Best,
     Problem,
     fewest,
@@ -71,11 +71,11 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
     tried = np.zeros(size + 1, np.int64)
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     for sample in samples:
-        effort[COUNT.tries] += effort[COUNT.limit_hit] == 0
+        effort[INDEX.tries] += effort[INDEX.limit_hit] == 0
         p = tried[0] = 0
-        while p >= 0 and effort[COUNT.limit_hit] == 0:
+        while p >= 0 and effort[INDEX.limit_hit] == 0:
             if p == size:
-                effort[COUNT.leaves] += 1
+                effort[INDEX.leaves] += 1
                 _extend(best, problem, path, p, node_limit)
                 p -= 1
                 continue
@@ -85,7 +85,7 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int, best:
                 continue
             if must_end(effort, node_limit):
                 break
-            effort[COUNT.nodes] += 1
+            effort[INDEX.nodes] += 1
             path.measurements[p], path.features[p] = sample[p], feature
             p += 1
             tried[p] = 0
@@ -120,7 +120,7 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             tried[level] = _STAR
         if must_end(effort, node_limit):
             return
-        effort[COUNT.nodes] += 1
+        effort[INDEX.nodes] += 1
         level += 1
         above[level], tried[level] = q + paired, 0
 

@@ -25,7 +25,7 @@ from slam_gym.association.relocation.constraints import (
     far_apart,
     orientation_test,
 )
-from slam_gym.association.relocation.problem import COUNT, Problem
+from slam_gym.association.relocation.problem import INDEX, Problem
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 
@@ -106,11 +106,11 @@ def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int
     for a in range(since, p):
         if features[a] == j:
             return False
-        effort[COUNT.binary_tests] += 1
+        effort[INDEX.binary_tests] += 1
         if not binary_test(scan, mapped, measurements[a], features[a], i, j):
             return False
     for a in range(max(since, 1), p):
-        effort[COUNT.orientation_tests] += 1
+        effort[INDEX.orientation_tests] += 1
         if not orientation_test(scan, mapped, (measurements[0], measurements[a], i), (features[0], features[a], j)):
             return False
     return True
@@ -134,13 +134,13 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
         distance, spread = scan.distances[i, path.measurements[0]], scan.spreads[i, path.measurements[0]]
     for at in range(begin + tried, end):
         j = members[at] if restricted else at
-        effort[COUNT.unary_tests] += 1
+        effort[INDEX.unary_tests] += 1
         if not allowed[i, j]:
             continue
         if p > 0:  # the first test of `follows`, with values read once: it settles most pairings
             error = distance - math.sqrt((F[j, 0] - x) ** 2 + (F[j, 1] - y) ** 2)
             if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
-                effort[COUNT.binary_tests] += first != j
+                effort[INDEX.binary_tests] += first != j
                 continue
         if follows(scan, mapped, effort, path, p, i, j, 0):
             return j, at + 1 - begin

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.relocation.constraints import Measured, Path
 from slam_gym.association.relocation.location import locate_pairings, place_of
-from slam_gym.association.relocation.problem import COUNT, Best, Problem, fewest, keep
+from slam_gym.association.relocation.problem import INDEX, Best, Problem, fewest, keep
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 FAR = 255  # in the raster of distances: beyond its range
@@ -98,14 +98,14 @@ def search(table: TriangleHash, problem: Problem, needed: int, node_limit: int, 
         return
     for triple in _triples(scan, np.arange(len(scan.points)), max((needed - 1) // 2, 1), table.reach):
         _try_triple(table, problem, node_limit, best, triple)
-        if problem.effort[COUNT.limit_hit] > 0 or best.state[0] > needed:
+        if problem.effort[INDEX.limit_hit] > 0 or best.state[0] > needed:
             break
     pairings = needed
     while pairings < best.state[0]:
         pairings, fresh = best.state[0], np.ones(len(scan.points), np.bool_)
         paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
         for triple in _triples(scan, paired, pairings // 3, table.reach):
-            if fresh[triple].all() and problem.effort[COUNT.limit_hit] == 0:
+            if fresh[triple].all() and problem.effort[INDEX.limit_hit] == 0:
                 fresh[triple] = False
                 _try_triple(table, problem, node_limit, best, triple)
 
@@ -188,7 +188,7 @@ def _seed(table: TriangleHash, scan: Measured, triple: IntArray) -> _Seed:
 @compiled
 def _try_triple(table: TriangleHash, problem: Problem, node_limit: int, best: Best, triple: IntArray) -> None:
     """Verify the poses implied by triangles similar to a triple of measurements, in all rotations of its corners."""
-    problem.effort[COUNT.tries] += 1
+    problem.effort[INDEX.tries] += 1
     distances, points, (i, k, l) = problem.scan.distances, problem.scan.points, triple
     longest = max(distances[i, k], distances[k, l], distances[l, i])
     if longest == 0.0:
@@ -225,7 +225,7 @@ def _similar_triangles(table: TriangleHash, problem: Problem, corners: IntArray)
                     longer = np.empty((2 * len(chosen) + end - start, 3), np.int32)
                     longer[:count] = chosen[:count]
                     chosen = longer
-                problem.effort[COUNT.binary_tests] += end - start
+                problem.effort[INDEX.binary_tests] += end - start
                 for t in range(start, end):
                     x, y, z = table.sides[t, 0] - first, table.sides[t, 1] - second, table.sides[t, 2] - third
                     of_map = table.sides[t, 3]
@@ -246,13 +246,13 @@ def cell_number(c: int, a: int, b: int) -> int:
 def _verify(table: TriangleHash, problem: Problem, node_limit: int, best: Best, seed: _Seed, corners: IntArray) -> None:
     """Test the poses that similar triangles imply for three measurements against the scan, first by the raster."""
     triangles = _similar_triangles(table, problem, corners)
-    problem.effort[COUNT.nodes] += len(triangles)
+    problem.effort[INDEX.nodes] += len(triangles)
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
     unmatched, m = _count_unmatched(table.raster, seed, poses), len(problem.scan.points)
     placed = _Placed(np.empty(3), np.empty((3, 3)), np.empty(m, np.int64), np.empty(m))
     pose, P, (x, y), (v, w) = placed.pose, placed.covariance, seed.centroid, seed.variances
     for t in np.flatnonzero(unmatched <= m - fewest(best, True)):
-        if problem.effort[COUNT.nodes] > node_limit:
+        if problem.effort[INDEX.nodes] > node_limit:
             break
         c, s = poses[2, t], poses[3, t]
         lx, ly = c * x - s * y, s * x + c * y
@@ -267,10 +267,10 @@ def _verify(table: TriangleHash, problem: Problem, node_limit: int, best: Best, 
             if (best.features[r][corners] == triangles[t]).all():
                 is_new = False
         if is_new:
-            problem.effort[COUNT.leaves] += 1
+            problem.effort[INDEX.leaves] += 1
             _examine(table, problem, best, triangles[t, 0], placed, k)
-    if problem.effort[COUNT.nodes] > node_limit:
-        problem.effort[COUNT.limit_hit] = 1
+    if problem.effort[INDEX.nodes] > node_limit:
+        problem.effort[INDEX.limit_hit] = 1
 
 
 @compiled
@@ -316,7 +316,7 @@ def _examine(table: TriangleHash, problem: Problem, best: Best, anchor: int, pla
         k = paired
         path.measurements[:k] = np.flatnonzero(features != UNPAIRED)
         path.features[:k] = features[path.measurements[:k]]
-        problem.effort[COUNT.nodes] += _LOCATING
+        problem.effort[INDEX.nodes] += _LOCATING
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
         before[:] = features
         paired = _pair_at(table, problem, placed, anchor, needed) if distance < math.inf else 0
@@ -324,13 +324,13 @@ def _examine(table: TriangleHash, problem: Problem, best: Best, anchor: int, pla
             return
         if (features == before).all():
             break
-    problem.effort[COUNT.joint_tests] += 1
+    problem.effort[INDEX.joint_tests] += 1
     while k >= needed and not distance < problem.joint_gates[k]:
         worst = np.argmax(squares[path.measurements[:k]])
         for a in range(worst, k - 1):
             path.measurements[a], path.features[a] = path.measurements[a + 1], path.features[a + 1]
         k -= 1
-        problem.effort[COUNT.joint_tests] += 1
+        problem.effort[INDEX.joint_tests] += 1
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
     if k >= needed:
         keep(best, path, k, pose, covariance, distance)

@@ -27,6 +27,7 @@ from slam_gym.association.relocation.location import locate
 from slam_gym.association.relocation.problem import answer_of, nothing_found, problem_of
 from slam_gym.association.relocation.triangle_search import FAR, Grid, Raster, TriangleHash, cell_number, search
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.validation import check_count
 
 _WITHIN = 23  # features within reach of each feature; more in small maps
 _SAMPLE = 200  # features sampled to determine the reach
@@ -80,8 +81,8 @@ class FeatureIndex:
         for each feature, some three times what it takes to reject a scan of 20 measurements from elsewhere. Where it is
         reached, `effort.limit_hit` is set, and the answer is the best found so far.
 
-        Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
-        another number of features.
+        Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, a node limit
+        below 1, or a locality of another number of features.
         """
         began = time.perf_counter()
         if min_pairings is None:
@@ -90,6 +91,7 @@ class FeatureIndex:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         if node_limit is None:
             node_limit = _POSES + _POSES_EACH * len(self)
+        check_count("node_limit", node_limit)
         problem = problem_of(scan, self._mapped, locality, confidence, tabulate=False)
         best = nothing_found(len(scan))
         search(self._hash, problem, min_pairings, node_limit, best)

@@ -14,7 +14,7 @@ import numpy as np
 
 from slam_gym.association.acceptance import min_pairings
 from slam_gym.association.relocation.constraints import map_arrays
-from slam_gym.association.relocation.problem import COUNT, answer_of, nothing_found, offer, problem_of
+from slam_gym.association.relocation.problem import INDEX, answer_of, nothing_found, offer, problem_of
 from slam_gym.association.relocation.tree import RelocationBranches, branches, extend, root
 from slam_gym.association.walks import ORDERS, Order
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
@@ -66,7 +66,7 @@ class RelocationWalk:
             scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
         self.spec, self.scan, self.landmarks, self.locality = spec, scan, landmarks, locality
         self.problem = problem_of(scan, map_arrays(landmarks), locality, spec.confidence)
-        self.problem.effort[COUNT.unary_tests] = self.problem.allowed.size
+        self.problem.effort[INDEX.unary_tests] = self.problem.allowed.size
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.done = False
         self._first_offer: RelocationBranches | None = None  # the same for every try
@@ -103,12 +103,12 @@ class RelocationWalk:
     @property
     def nodes(self) -> int:
         """Number of nodes used so far."""
-        return int(self.problem.effort[COUNT.nodes])
+        return int(self.problem.effort[INDEX.nodes])
 
     @property
     def tries(self) -> int:
         """Number of walks from the root, including this one."""
-        return int(self.problem.effort[COUNT.tries])
+        return int(self.problem.effort[INDEX.tries])
 
     @property
     def mask(self) -> BoolArray:
@@ -150,8 +150,8 @@ class RelocationWalk:
         self.node = root(self.problem)
         self.compatible: bool | None = None  # at a leaf: whether the hypothesis passes the joint test
         self.offered: list[tuple[int, int]] = []  # of each level decided: candidates on offer, action taken
-        self.problem.effort[COUNT.nodes] += 1
-        self.problem.effort[COUNT.tries] += 1
+        self.problem.effort[INDEX.nodes] += 1
+        self.problem.effort[INDEX.tries] += 1
         self.offer: RelocationBranches | None = None  # the ranked features for the measurement; None at a leaf
         self._go_on()
 
@@ -167,7 +167,7 @@ class RelocationWalk:
         feature = UNPAIRED if action == self.spec.star else int(self.shown[action])
         self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
         self.offered.append((len(self.shown), action))
-        self.problem.effort[COUNT.nodes] += 1
+        self.problem.effort[INDEX.nodes] += 1
 
     def _go_on(self) -> None:
         """Pass the levels without a choice; then make the offer of the next level, or judge the leaf."""
@@ -175,7 +175,7 @@ class RelocationWalk:
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(self.spec.star)
         if self._spent or self.level == m:
-            self.problem.effort[COUNT.limit_hit] = self._spent
+            self.problem.effort[INDEX.limit_hit] = self._spent
             self.compatible = self._judge()
         elif at_root and self._first_offer is not None:
             self.offer = self._first_offer
@@ -189,7 +189,7 @@ class RelocationWalk:
 
     def _judge(self) -> bool:
         """Locate and test the hypothesis of the path, keep it if none has more pairings; return whether it passes."""
-        self.problem.effort[COUNT.leaves] += 1
+        self.problem.effort[INDEX.leaves] += 1
         holds = offer(self._kept, self.problem, self.node.path, self.node.pairings)
         if holds:
             self.best = self.answer()

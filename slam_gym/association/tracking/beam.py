@@ -106,7 +106,8 @@ def search(
 
 @compiled
 def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Joined, int]:
-    """Room for the hypotheses that `width` allows, with that of the fixed pairings; nodes, and how many are in use."""
+    """Room for `width` hypotheses, or for as many as the levels can yield; one hypothesis, that of the fixed pairings,
+    is entered. Also the nodes, and how many are in use."""
     depth = pairings.fixed + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
     most, count, node_count = 0, 1, _SCRATCH + 1
     for level in range(len(levels)):

@@ -180,15 +180,20 @@ def _support(pairings: Pairings, root: Node, anchor: int, gate: float) -> int:
 
 @compiled
 def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
-    """Hypotheses grouped by the view that they imply: the group (b,) of each; the visibility (groups, q) of features in
-    each group, (0, 0) where unknown; and the columns (u,) of those of the tree."""
+    """Group hypotheses that imply the same view: the group (b,) of each hypothesis; the visibility (groups, q) of the
+    features of the tree and of others for each group, (0, 0) where unknown; and the columns of the features of the tree
+    (u,) by slot.
+
+    Hypotheses share a view where they place every feature within `together` [m] of each other. All share one where the
+    features are predicted that precisely, or where visibility does not depend on the pose.
+    """
     part, rows, visible = problem.part, problem.rows, problem.visible
     group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
     if len(visible) == 0:
         return group, np.empty((0, 0)), rows
     for j in rows:
         narrow &= max(part.covariances[j, 0, 0], part.covariances[j, 1, 1]) < together * together
-    if len(expected.visible) > 0 or not expected.view_moves or narrow:  # all share one view
+    if len(expected.visible) > 0 or not expected.view_moves or narrow:
         return group, visible.copy().reshape(1, -1), rows
     possible = visible > _INVISIBLE
     possible[rows] = False

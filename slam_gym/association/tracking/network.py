@@ -169,6 +169,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
     for P in part.covariances:
         spread += 0.5 * math.log(max(P[0, 0] * P[1, 1] - P[0, 1] * P[1, 0], 1e-12)) / len(part.covariances)
     in_view = visible.sum() if len(visible) > 0 else float(len(part.positions))
+    # inputs of the scan and the run, the same for all pairings
     of_scan[0], of_scan[1], of_scan[2] = math.log1p(m), unmatched / max(m, 1), math.log((1.0 + m) / (1.0 + in_view))
     of_scan[3], of_scan[4] = 1.0 if len(visible) > 0 else 0.0, math.sqrt(max(part.variance, 0.0))
     of_scan[5], of_scan[6], of_scan[7] = spread, run[0], run[1]

@@ -95,6 +95,15 @@ class Choice(NamedTuple):
     later: int  # where the pairings of later levels begin
 
 
+class _Outlook(NamedTuple):
+    """What lies beyond the level at hand, by pairing on offer."""
+
+    rivals: IntArray  # (k,) later pairings with the same feature
+    evidence: Array  # (k,)
+    outlook: Array  # (k,)
+    left: int  # levels that have a candidate
+
+
 def lengths(candidates: int) -> dict[str, int]:
     """Length of each vector of an observation with K = `candidates`."""
     return {
@@ -128,10 +137,13 @@ def _encode(
     mapped: tuple[PredictionArrays, IntArray, int, BoolArray],
     choice: Choice,
 ) -> tuple[Float32Array, Float32Array]:
-    """`CANDIDATE_FIELDS` and `PATH_FIELDS`."""
-    rivals, evidence, outlook, left = _outlook(pairings, node, choice)
-    p, path = len(node.path), np.zeros(len(PATH_FIELDS), np.float32)
-    (prediction, rows, confirmations, local), odds = mapped, evidence + outlook
+    """`CANDIDATE_FIELDS` and `PATH_FIELDS`.
+
+    `individual` (c,) are D²_ij of all pairings. `mapped`: the prediction, its row for each slot (u,), the sightings
+    that confirm a feature, and which features are local to each other, by slot.
+    """
+    ahead, p, path = _outlook(pairings, node, choice), len(node.path), np.zeros(len(PATH_FIELDS), np.float32)
+    (prediction, rows, confirmations, local), odds = mapped, ahead.evidence + ahead.outlook
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     candidates, sizes, variances = np.zeros((choice.candidates, len(CANDIDATE_FIELDS)), np.float32), scan[2], scan[3]
     for k in range(len(choice.offered)):
@@ -155,14 +167,14 @@ def _encode(
         row[9], row[10] = 1.0 if expected.near[j] else 0.0, _squash(float(expected.ages[j]), AGE_SCALE)
         row[11] = _squash(float(expected.sightings[j]), COUNT_SCALE)
         row[12] = 1.0 if expected.sightings[j] >= confirmations else 0.0
-        row[13], e, best = _squash(float(rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
+        row[13], e, best = _squash(float(ahead.rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
         for other in range(len(odds)):
             if other != k:
                 best = max(best, odds[other])
         row[14] = _squash(math.sqrt(max(e.xx * e.yy - e.xy * e.xy, 0.0)), SPREAD_SCALE)
-        row[15], row[16] = _squash(evidence[k], ODDS_SCALE), _squash(outlook[k], ODDS_SCALE)
+        row[15], row[16] = _squash(ahead.evidence[k], ODDS_SCALE), _squash(ahead.outlook[k], ODDS_SCALE)
         row[17], row[18] = _squash(odds[k], ODDS_SCALE), _squash(odds[k] - best, ODDS_SCALE)
-    path[0], path[1] = choice.level / choice.levels, _squash(float(left), COUNT_SCALE)
+    path[0], path[1] = choice.level / choice.levels, _squash(float(ahead.left), COUNT_SCALE)
     path[2], path[3] = _squash(float(p), COUNT_SCALE), p / max(choice.level, 1)
     path[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
     path[5], path[6] = _squash(float(choice.compatible), FEW_SCALE), _squash(float(choice.hidden), FEW_SCALE)
@@ -171,8 +183,8 @@ def _encode(
 
 
 @compiled
-def _outlook(pairings: Pairings, node: Node, choice: Choice) -> tuple[IntArray, Array, Array, int]:
-    """Rivals, evidence and outlook (k,) of what is on offer, see `CANDIDATE_FIELDS`; later levels with a candidate."""
+def _outlook(pairings: Pairings, node: Node, choice: Choice) -> _Outlook:
+    """Each pairing on offer conditions those of later levels; a feature that is taken adds nothing to them."""
     slots, measured, p, count = pairings.slots, pairings.measured, len(node.path), len(pairings.slots)
     free, without, best, left, level = np.empty(count, np.bool_), 0.0, 0.0, 0, _SEEN
     for c in range(choice.later, count):
@@ -195,7 +207,7 @@ def _outlook(pairings: Pairings, node: Node, choice: Choice) -> tuple[IntArray, 
                 given = condition(pairings.covariance, node.w, pivot, a, p, c, slots[c], read(node.innovations, c))
                 best = max(best, _evidence(given))
         evidence[k], outlook[k] = _evidence(e), total + best - without
-    return rivals, evidence, outlook, left
+    return _Outlook(rivals, evidence, outlook, left)
 
 
 @compiled

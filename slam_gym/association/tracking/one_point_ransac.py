@@ -48,7 +48,8 @@ def one_point_ransac(
 
 @compiled
 def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> tuple[IntArray, int]:
-    """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,)."""
+    """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,). The
+    fixed pairings are kept."""
     first, count, best, best_sum = root_of(pairings), len(order), order[:0], math.inf
     order = order[first.added[order] < gate]  # of old features, some disagree with the pairings that are fixed
     required, drawn = math.inf, 0
@@ -70,7 +71,8 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
 
 @compiled
 def _nearest_first(pairings: Pairings, node: Node, made: IntArray, gate: float) -> IntArray:
-    """Candidates within the gate at a node that has `made` pairings, nearest first; each measurement, feature once."""
+    """Candidates within the gate at a node, which has `made` these pairings after the fixed ones, by ascending
+    distance; each measurement and feature once."""
     slots, measured, local = pairings.slots, pairings.measured, pairings.local
     used_slots, used = np.zeros(slots.max() + 1, np.bool_), np.zeros(measured.max() + 1, np.bool_)
     used_slots[slots[made]], used[measured[made]] = True, True

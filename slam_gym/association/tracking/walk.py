@@ -109,7 +109,7 @@ class Walk:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
             return nothing(self.K)
-        first, later = self.candidates.starts[self.level : self.level + 2].tolist()
+        first, later = self.tree.level(self.level)
         choice = Choice(self.level, self.tree.levels, self.K, self.offered, self.hidden, later - first, later)
         return encode(self.tree, self.node, self._local, choice)
 

@@ -34,13 +34,13 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray, Relocation, Scan
-from slam_gym.validation import check_settings
+from slam_gym.validation import Checked
 
 _FEW = 100  # features; each doubling beyond requires one more pair
 
 
 @dataclass(frozen=True)
-class RecognitionSpec:
+class RecognitionSpec(Checked):
     """Settings of place recognition: what is searched for while the robot is tracked, and when a match is accepted."""
 
     every: int = 10  # [scans] between searches
@@ -58,7 +58,7 @@ class RecognitionSpec:
     min_pairs: int = 8  # with six, half of the loops that were closed without a prior were wrong
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if self.min_loop_pairs > self.group:
             raise ValueError(f"min_loop_pairs: {self.min_loop_pairs} is more than group, {self.group}")
 

@@ -72,17 +72,17 @@ def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown
     assert again.names == ["a", "b"] and again.metadata["complete"]
 
 
-def test_csv_and_json_say_what_was_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["slam-gym", "evaluate", "--episodes", "2"])
+@pytest.mark.parametrize("program", [["slam-gym", "evaluate"], ["agents/evaluate.py"]])
+def test_csv_and_json_say_what_was_run(tmp_path, monkeypatch, program):
+    monkeypatch.setattr(sys, "argv", [*program, "--episodes", "2"])
     results = carry_out(counting([task(0)], split="test"), tmp_path, NEW)
     frame = pd.read_csv(tmp_path / "results.csv")
     assert list(frame.columns) == ["name", "setting", "episode", "model", "value", "curve"]
     assert list(frame["value"]) == [0.1, 0.1] and json.loads(frame["curve"][0]) == [1, 2]
     told = json.loads((tmp_path / "results.json").read_text(), parse_constant=lambda name: pytest.fail(name))
     assert told == results.metadata and told["conditions"]["split"] == "test"
-    assert told["commands"][0]["command"].endswith("evaluate --episodes 2") and {"slam_gym", "commit"} <= set(
-        told["versions"]
-    )
+    assert told["commands"][0]["command"] == "slam-gym evaluate --episodes 2"
+    assert {"slam_gym", "commit"} <= set(told["versions"])
 
 
 def test_a_folder_belongs_to_one_evaluation(tmp_path):
