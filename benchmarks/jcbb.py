@@ -54,8 +54,13 @@ class MappedField:
     pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
 
 
-ClosureScan = tuple[Scan, Prediction, IntArray]
-"""A scan to associate, and the map feature behind each measurement (m,), UNPAIRED where there is none."""
+@dataclass(frozen=True)
+class ClosureScan:
+    """One scan to associate."""
+
+    scan: Scan
+    prediction: Prediction
+    truth: IntArray  # (m,) map feature behind each measurement, UNPAIRED where there is none
 
 
 def mapped_field(n: int, rng: np.random.Generator) -> MappedField:
@@ -94,7 +99,7 @@ def closure_scan(field: MappedField, m: int, workload: str, rng: np.random.Gener
     points = np.concatenate([observe(target, field.features[seen]), clutter(spurious, reach, math.tau, rng)])
     truth = np.concatenate([field.index[seen], np.full(spurious, UNPAIRED)])
     order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    return noisy(points[order], SIGMA, rng), predict(carried, np.inf), truth[order]
+    return ClosureScan(noisy(points[order], SIGMA, rng), predict(carried, np.inf), truth[order])
 
 
 def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
@@ -103,13 +108,12 @@ def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
 
 def compare(scans: list[ClosureScan]) -> list[Record]:
     """The accuracy and time [µs] of every search on the same scans."""
-    rows, of_jcbb = [], np.array([fastest(jcbb, scan, prediction) for scan, prediction, _ in scans])
+    rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
     for name, search in ASSOCIATORS.items():
         if name == CEILING:
             continue
-        answers = [search(scan, prediction) for scan, prediction, _ in scans]
-        judged = association_record(answers, [truth for *_, truth in scans])
-        times = np.array([fastest(search, scan, prediction) for scan, prediction, _ in scans])
+        judged = association_record([search(one.scan, one.prediction) for one in scans], [one.truth for one in scans])
+        times = np.array([fastest(search, one.scan, one.prediction) for one in scans])
         rows.append({
             "search": name,
             **{name: judged[name] for name in ("exact", "recall", "precision")},
@@ -127,7 +131,7 @@ def main() -> None:
     field = mapped_field(n, rng)
     for workload in WORKLOADS:
         drawn = [closure_scan(field, 20, workload, rng) for _ in range(scans)]
-        each = np.mean([len(individual(scan, prediction).slots) / 20 for scan, prediction, _ in drawn])
+        each = np.mean([len(individual(one.scan, one.prediction).slots) / 20 for one in drawn])
         table(f"{workload}, 20 × {n}, {each:.1f} candidates each", compare(drawn))
 
 

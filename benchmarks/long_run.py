@@ -20,7 +20,7 @@ import gc
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -68,6 +68,13 @@ GROWTH = 0.05  # of memory from the second to the last fifth of the episodes; mo
 LONGEST_TICK = 1.0  # [s] CPU time, with --associator
 
 
+class Step(NamedTuple):
+    """The effort of a step of an episode."""
+
+    ticks: int
+    seconds: float  # CPU time
+
+
 def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[str, gym.Env[Any, Any]]:
     """A description of episode `number`, and its environment; scenarios and extremes take turns, the rest is random.
 
@@ -88,8 +95,8 @@ def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[s
     return f"episode {number}: {kind}, {name}, {extreme}, {arguments}", env
 
 
-def checked(env: Any, seed: int) -> Iterator[tuple[int, float]]:
-    """Play an episode at random; yields ticks and CPU time [s] of each step. Raises AssertionError if a check fails."""
+def checked(env: Any, seed: int) -> Iterator[Step]:
+    """Play an episode at random; yields the effort of each step. Raises AssertionError where a check fails."""
     rng, total = np.random.default_rng(seed), 0.0
     observation, info = env.reset(seed=seed)
     first, over = info.get("map_error"), False
@@ -103,11 +110,12 @@ def checked(env: Any, seed: int) -> Iterator[tuple[int, float]]:
         assert env.observation_space.contains(observation), "an observation is outside of its space"
         assert math.isfinite(reward), f"the reward is {reward}"
         total += reward
-        yield int(info.get("ticks", 1)), 1e-6 * microseconds
-    if (explored := getattr(env, "episode", None)) is not None:
+        yield Step(int(info.get("ticks", 1)), 1e-6 * microseconds)
+    explored = getattr(env, "episode", None)
+    if explored is not None:
         check_covariance(explored.slam.map.covariance)
-        if env.arguments.reward == "map_error":
-            assert abs(total - (first - info["map_error"])) < 1e-6, "rewards do not sum to the fall of the error"
+    if explored is not None and env.arguments.reward == "map_error":
+        assert abs(total - (first - info["map_error"])) < 1e-6, "rewards do not sum to the fall of the error"
 
 
 def check_covariance(covariance: np.ndarray) -> None:
@@ -130,10 +138,10 @@ def main() -> None:
     while total < ticks:
         words, env = episode(number, a.seed, length, a.associator)
         try:
-            for taken, seconds in checked(env, number):
-                total += taken
-                if ready() == loops and seconds > worst * taken:
-                    worst, when = seconds / taken, words
+            for step in checked(env, number):
+                total += step.ticks
+                if ready() == loops and step.seconds > worst * step.ticks:
+                    worst, when = step.seconds / step.ticks, words
                 loops = ready()
         except Exception as error:
             broken += 1

@@ -48,8 +48,12 @@ PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
 
 
-Place = tuple[Landmarks, Mapping[str, Locality | None], Sequence[PlacedScan]]
-"""A map, its localities by name, and scans to relocate in it."""
+class Place(NamedTuple):
+    """A map with scans to relocate in it."""
+
+    landmarks: Landmarks
+    localities: Mapping[str, Locality | None]
+    scans: Sequence[PlacedScan]
 
 
 class HalfMap(NamedTuple):
@@ -57,6 +61,11 @@ class HalfMap(NamedTuple):
 
     positions: Array  # (n, 2) [m]
     sources: IntArray  # (n,) identity of each feature, which is that of the measurement that started it
+
+
+def spread(items: Sequence[Any], count: int) -> list[Any]:
+    """At most `count` of the items, evenly spaced."""
+    return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
 
 
 def reference(log: Recording) -> Smoothed:
@@ -73,18 +82,14 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
         judged.step(odometry, scan, Truth(np.zeros(3), sources))
     mapped = HalfMap(slam.map.positions, judged.identities.source_of(slam.map.ids))
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
-    chosen: list[PlacedScan] = []
-    for inside in (True, False):
-        of_side = [one for one in placed if one[2] is inside]
-        evenly = np.linspace(0, len(of_side) - 1, min(scans, len(of_side))).astype(int)
-        chosen += [of_side[i] for i in evenly]
+    chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
     localities: dict[str, Locality | None] = {
         "covisibility": covisible(slam.covisibility),
         "two hops": covisible(slam.covisibility, hops=2),
         "distance": within(slam.map.positions, 2.0 * log.range),
         "everything": None,
     }
-    return slam.map.landmarks(), localities, chosen
+    return Place(slam.map.landmarks(), localities, chosen)
 
 
 def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
@@ -122,12 +127,12 @@ def attempts(place: Place, node_limit: int) -> pd.DataFrame:
     """The results of every search under every locality on every scan, with sizes and without."""
     searches = {search.__name__: functools.partial(search, node_limit=node_limit)
                 for search in (gcbb, random_sampling, indexed)}  # fmt: skip
-    rows, (landmarks, localities, scans) = [], place
-    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), localities):
-        mapped = landmarks if sizes else without_sizes(landmarks)
-        for scan, pose, inside in scans:
+    rows = []
+    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), place.localities):
+        landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
+        for scan, pose, inside in place.scans:
             shown = scan if sizes else without_sizes(scan)
-            answer, record = attempt(search, shown, mapped, localities[locality])
+            answer, record = attempt(search, shown, landmarks, place.localities[locality])
             key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
             rows.append(key | record | {"right": inside and is_right(answer.pose, pose, *NEAR)})
     return pd.DataFrame(rows)

@@ -155,13 +155,13 @@ def test_detection_clutter_and_people_come_at_their_rates():
     spec = SensorSpec(
         clutter=1.5, detection=0.7, person_detection=0.4, max_features=1000, field_of_view=2 * np.pi, range=12.0
     )
-    sensor, people = sensor_in(plan, spec), (np.array([[22.0, 20.0, 0.25]]), NO_SEGMENTS)
-    in_sight = sensor_in(plan, SensorSpec(**{**vars(spec), "detection": 1.0})).scan(POSE, rng, people)[1].sources
+    sensor, moving = sensor_in(plan, spec), (np.array([[22.0, 20.0, 0.25]]), NO_SEGMENTS)
+    in_sight = sensor_in(plan, SensorSpec(**{**vars(spec), "detection": 1.0})).scan(POSE, rng, moving)[1].sources
     in_sight = np.unique(in_sight[in_sight >= 0])
     seen = np.zeros(30)
     clutter, person = [], []
     for _ in range(2000):
-        scan, truth = sensor.scan(POSE, rng, people)
+        scan, truth = sensor.scan(POSE, rng, moving)
         seen[truth.sources[truth.sources >= 0]] += 1
         spurious = transform(POSE, scan.points[truth.sources == SPURIOUS])
         at_person = np.abs(np.hypot(*(spurious - [22.0, 20.0]).T) - 0.25) < 0.15
@@ -178,10 +178,10 @@ def test_clutter_lies_in_line_of_sight_and_spreads_evenly_over_the_area():
     plan, rng = plan_with([], inner=[(20, 24, 24, 20)]), np.random.default_rng(8)
     spec = SensorSpec(clutter=20.0, max_features=1000, field_of_view=np.pi, range=6.0)
     sensor, index, pose = sensor_in(plan, spec), wall_index(plan.walls), np.array([20.0, 20.0, 0.0])
-    person = np.array([[20.0, 17.0, 0.5]]), NO_SEGMENTS
-    points = np.concatenate([sensor.scan(pose, rng, person)[0].points for _ in range(200)])
+    moving = np.array([[20.0, 17.0, 0.5]]), NO_SEGMENTS
+    points = np.concatenate([sensor.scan(pose, rng, moving)[0].points for _ in range(200)])
     ranges, bearings = np.hypot(*points.T), np.arctan2(*points.T[::-1])
-    free = cast(index, pose[:2], bearings, 6.0, person)
+    free = cast(index, pose[:2], bearings, 6.0, moving)
     assert np.all(ranges <= free + 0.2)  # the person's own measurements carry noise
     assert np.abs(bearings).max() <= np.pi / 2 + 0.05
     open_side = (bearings < -0.1) & (bearings > -1.2)
