@@ -70,7 +70,8 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     sources, labelled = truth.sources, truth.sources != UNLABELLED
     right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
     unpaired = labelled & (truth.right == UNPAIRED)
-    known = unpaired | (labelled & np.isin(np.arange(len(scan)), measured[right]))  # and can be chosen
+    offered = np.isin(np.arange(len(scan)), measured[right])  # whether the right pairing can be chosen
+    known = unpaired | (labelled & offered)
     if not known.any() or not len(measured):
         return None
     hypotheses, first = [], 0

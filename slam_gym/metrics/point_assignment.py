@@ -108,7 +108,10 @@ def _least_cost(pairs: _Pairs, n: int) -> IntArray:
 
 @compiled
 def _augment(root: int, pairs: _Pairs, column_of: IntArray, row_of: IntArray, u: Array, v: Array) -> None:
-    """Assign row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0)."""
+    """Assign row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0).
+
+    The path ends at a free column, or at a row that becomes unassigned.
+    """
     n = len(row_of)
     distance, came_from, done = np.full(n, np.inf), np.full(n, _NONE), np.zeros(n, np.bool_)  # by column
     end, row_end, length = _NONE, root, np.inf  # where the path ends: at column `end`, else at row `row_end`

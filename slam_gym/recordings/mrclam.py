@@ -103,7 +103,10 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
 
 
 def _sources(landmarks: Array, barcodes: Array, codes: Array, poses: Array, points: Array) -> IntArray:
-    """(M,) landmark behind each of the measured `codes` (M,); SPURIOUS where there is none, or the code was misread."""
+    """(M,) landmark behind each of the measured `codes` (M,); SPURIOUS where there is none, or the code was misread.
+
+    The measurements `points` (M, 2) in R were made from `poses` (M, 3).
+    """
     place = {int(row[0]): row[1:3] for row in landmarks}
     worn_by = {int(code): int(subject) for subject, code in barcodes if int(subject) in place}
     sources = np.array([worn_by.get(int(code), SPURIOUS) for code in codes], dtype=np.int64)

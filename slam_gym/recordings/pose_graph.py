@@ -110,7 +110,10 @@ def _recording(
     known: dict[int, list[float]],
     places: dict[int, list[float]],
 ) -> Recording:
-    """The log of motions and measurements; `known` and `places` are poses and landmarks of the reference, by number."""
+    """The log of motions and measurements, whose weights are information matrices or, with `root`, their roots.
+
+    `known` and `places` are the poses and landmarks of the reference, by number.
+    """
     by_pair: dict[tuple[int, ...], _Entry] = {}
     for edge in motions:
         if edge.key in by_pair:

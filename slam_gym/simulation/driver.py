@@ -16,7 +16,7 @@ from slam_gym.types import Array
 
 ARRIVED = 0.4  # [m] distance from the goal at which it is reached
 REPLAN = 10  # [ticks] between checks of the path
-KEEP = 1.1  # a path is kept until a new one is shorter by this factor, so that the robot does not dither between two
+KEEP = 1.1  # a path is kept until a new one is shorter by more than this factor
 APART = 0.2  # [m] between the points at which a path is checked
 AHEAD, AROUND = 15.0, 6.0  # [m] length of the path that is replanned at once, and margin of the space around it
 NEAR_ENOUGH = 1.5  # [m] from an unreachable goal to a reachable place that may replace it
@@ -76,10 +76,15 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
 
 
 def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: DistanceField | None = None) -> Array:
-    """As `way_to`; the present path is kept while it is free and hardly longer than a new one."""
+    """A path (p, 2) to the goal, or to a place less than `NEAR_ENOUGH` from it, or (0, 2).
+
+    The present path is kept as long as it is free and not much longer than a new one: otherwise the robot would
+    alternate between two paths of equal cost around an obstacle, and follow neither. Only the next part of the path is
+    replanned, so that planning takes no longer in a large building than in a small one.
+    """
     grid = episode.grid
     if len(path) and is_free(grid, points_ahead(path, pose[:2], APART)):
-        stretch, rest = next_stretch(path, pose[:2], AHEAD)  # the rest is kept: large buildings take no longer
+        stretch, rest = next_stretch(path, pose[:2], AHEAD)
         fresh = _replanned(episode, pose, stretch)
         if fresh is stretch:
             return path

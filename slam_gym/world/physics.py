@@ -119,12 +119,14 @@ class _Wheels:
 class World:
     """A physical world of `plan` with the robot at `start` (3,) W; `rng` draws where people stand and walk.
 
-    Raises ValueError where the plan has no room for so many people.
+    Raises ValueError where `start` is not finite or the plan has no room for so many people.
     """
 
     def __init__(
         self, plan: FloorPlan, start: Array, robot: RobotSpec, dynamics: DynamicsSpec, rng: np.random.Generator
     ) -> None:
+        if np.shape(start) != (3,) or not np.isfinite(start).all():
+            raise ValueError(f"start must be a finite pose (3,), not {start}")
         self.robot, self.dynamics, self._rng = robot, dynamics, rng
         self._step = dynamics.tick / dynamics.substeps
         self._contacts = _Contacts()
@@ -172,7 +174,9 @@ class World:
         self.pose = np.array([x, y, wrap_angle(self._body.angle)])  # (3,) [m, m, rad] W
 
     def place(self, pose: Array) -> None:
-        """Put the robot at `pose` (3,) W, at rest."""
+        """Put the robot at `pose` (3,) W, at rest. Raises ValueError where `pose` is not finite."""
+        if np.shape(pose) != (3,) or not np.isfinite(pose).all():
+            raise ValueError(f"pose must be a finite pose (3,), not {pose}")
         body, (x, y, heading) = self._body, pose.tolist()
         body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (0.0, 0.0), 0.0
         self._space.reindex_shapes_for_body(body)

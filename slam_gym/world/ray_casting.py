@@ -51,9 +51,16 @@ def wall_index(walls: Array, cell: float = 1.0) -> Packed:
     """Static walls (s, 4) [m] x1 y1 x2 y2, indexed once for many ranges and lines of sight.
 
     `cell` [m] is the side of the grid's cells, doubled until a million of them suffice. Returns the fields of a `Grid`,
-    with a copy of the walls.
+    with a copy of the walls. Raises ValueError where `walls` is not finite or has another shape, or `cell` is not
+    positive.
     """
     walls = np.array(walls, np.float64, order="C")
+    if walls.ndim != 2 or walls.shape[1] != 4:
+        raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
+    if not np.isfinite(walls).all():
+        raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
+    if not (math.isfinite(cell) and cell > 0.0):
+        raise ValueError(f"cell must be a positive length [m], not {cell}")
     ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
     low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
     while np.prod(extent // cell + 1.0) > _MAX_CELLS:
@@ -211,7 +218,10 @@ def sees(grid: Grid, moving: Moving, x: float, y: float, dx: float, dy: float, p
 
 @compiled
 def cast(walls: Packed, origin: Array, angles: Array, max_range: float, moving: Moving) -> Array:
-    """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`."""
+    """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`.
+
+    Objects that are `moving` stop a ray as walls do. A disc that contains the origin stops no ray.
+    """
     grid, x, y = Grid(*walls), origin[0], origin[1]
     ranges = np.empty(angles.shape[0])
     for b in range(angles.shape[0]):

@@ -33,8 +33,11 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25) -> FreeCells:
     """Cells with no wall of `plan` within `radius` [m] of their centres.
 
     The side `cell` [m] is reduced where a wall could otherwise lie between two free centres, so that a disc of this
-    radius can move straight between any two free cells that share a side.
+    radius can move straight between any two free cells that share a side. Raises ValueError unless both lengths are
+    positive.
     """
+    if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
+        raise ValueError(f"radius and cell must be positive lengths [m], not {radius} and {cell}")
     cell = min(cell, 1.9 * radius)
     origin = plan.bounds[:2] - 1.5 * cell
     columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
@@ -55,7 +58,8 @@ def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
 
     Cells are connected through their sides. The size of a part is the number of its cells within rooms, so that the
     open ground around a building is never chosen; where a plan names no rooms, every part but the ground around it
-    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free.
+    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free. Raises
+    ValueError unless both lengths [m] are positive.
     """
     return indoor(plan, free_cells(plan, radius, cell))
 

@@ -193,7 +193,11 @@ def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving:
 def _measure(
     walls: Packed, pose: Array, seen: _Seen, sizes: Array, moving: Moving, noise: tuple[Array, Array], packed: _Values
 ) -> _Measured:
-    """A scan of what is `seen`, then of clutter, with a row of uniform and one of normal `noise` (n, 3) for each."""
+    """A scan of what is `seen`, and of clutter.
+
+    `sizes` are the sizes of all features, from which sizes of spurious measurements are drawn. `noise` are uniform and
+    normal random numbers (n, 3), a row of each for everything in sight and for each piece of clutter.
+    """
     settings, (polar, sources), (uniform, normal) = _Settings(*packed), seen, noise
     draws = len(uniform)
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source

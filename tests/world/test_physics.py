@@ -124,6 +124,7 @@ def test_pushing_furniture_moves_it_and_makes_the_wheels_slip():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
+        (lambda: world_in(HALL, np.nan, 1), "start must be a finite pose"),
         (lambda: world_in(HALL, 1, 1).tick(np.nan, 0), "is not a number"),
         (lambda: world_in(plan_of((0, 0, 3, 3)), 1, 1, people=50), r"room for \d+ people, not for 50"),
     ],
@@ -147,6 +148,8 @@ def test_a_robot_that_is_carried_away_starts_from_rest_where_it_is_put_down() ->
     for _ in range(100):  # walls hold where it is now
         world.tick(1.0, 0.0)
     assert clearance(TWO_ROOMS, world.pose[:2]) > 0.9 * world.robot.radius
+    with pytest.raises(ValueError, match="pose must be a finite pose"):
+        world.place(np.array([0.0, np.nan, 0.0]))
 
 
 def test_people_walk_about_and_keep_clear_of_walls_furniture_and_each_other():

@@ -105,3 +105,17 @@ def test_box_outlines_and_distances():
     for point, distance in (((1, 2), 0), ((3, 2), 1), ((1, -1), 1), ((5, 8), 5)):
         assert box_distance(*map(float, point), box) == pytest.approx(distance, abs=1e-12)
     assert box_distance(0.0, 0.0, np.empty((0, 5))) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("walls", "cell", "message"),
+    [
+        (np.zeros((3, 3)), 1.0, r"shape \(s, 4\)"),
+        (np.array([[0, 0, 1, 1], [0, np.nan, 1, 1]]), 1.0, r"walls\[1\] is not finite"),
+        (ROOM, 0.0, "cell must be a positive length"),
+        (ROOM, np.nan, "cell must be a positive length"),
+    ],
+)
+def test_bad_walls_are_refused_by_name(walls, cell, message):
+    with pytest.raises(ValueError, match=message):
+        wall_index(walls, cell)

@@ -110,3 +110,9 @@ def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
     assert np.abs(starts[:, 2]).max() > 3.0 and np.abs(starts[:, 2]).min() < 0.1
     again = free_start(plan, cells, np.random.default_rng(8))
     np.testing.assert_array_equal(free_start(plan, cells, np.random.default_rng(8)), again)
+
+
+@pytest.mark.parametrize(("radius", "cell"), [(0.0, 0.25), (np.nan, 0.25), (0.2, 0.0), (0.2, np.inf)])
+def test_lengths_that_are_none_are_refused(radius, cell):
+    with pytest.raises(ValueError, match="radius and cell must be positive"):
+        reachable(two_rooms(0.9), radius, cell)

@@ -129,7 +129,13 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
 def _compatible(
     problem: Problem, path: Path, p: int, pose: Array, covariance: Array
 ) -> tuple[list[int], list[IntArray]]:
-    """The other measurements that have candidates at the pose of p pairings, and these, by ascending D²_ij."""
+    """Measurements other than the first p of a path that have candidates, and their compatible features, by ascending
+    D²_ij.
+
+    Compatibility is tested at the pose of these p pairings. Features are local to the first one paired. The gate
+    assumes that pose and features are independent. Where a common drift correlates them it is too wide, and the joint
+    test decides.
+    """
     scan, F, P, first = problem.scan, problem.mapped.positions, problem.mapped.covariances, path.features[0]
     local = np.arange(len(F))
     if len(problem.starts) > 0:

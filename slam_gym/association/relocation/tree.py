@@ -43,7 +43,7 @@ class RelocationNode:
         return len(self.path.features)
 
     def bound_without(self, measurement: int | None) -> int:
-        """Upper bound of the pairings of any hypothesis below this node that leaves `measurement` unpaired."""
+        """Upper bound of the pairings of any hypothesis below this node that leaves `measurement`, if any, unpaired."""
         alive = self.alive
         if measurement is not None:
             alive = alive.copy()

@@ -307,7 +307,11 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
 
 @compiled
 def _examine(table: TriangleHash, problem: Problem, best: Best, anchor: int, placed: _Placed, paired: int) -> None:
-    """Locate and pair in turn until nothing changes; drop the worst pairings until the rest is jointly compatible."""
+    """Locate and pair in turn, starting from the pairings (m,) at a pose, until the pairings no longer change.
+
+    Then drop the worst pairings until the rest is jointly compatible, and keep the result if it is at least as good as
+    the best. `placed` is overwritten.
+    """
     scan, needed = problem.scan, fewest(best, True)
     pose, covariance, features, squares = placed
     path, before = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), features.copy()
@@ -354,7 +358,12 @@ def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
 
 @inlined
 def _pair_at(table: TriangleHash, problem: Problem, placed: _Placed, anchor: int, needed: int) -> int:
-    """Pair each measurement with the feature of least D² within its gate. Returns how many; 0 if below `needed`."""
+    """Pair each measurement with the feature of least D² within its gate. Of two that claim one feature, the nearer
+    wins.
+
+    Writes the features and their D² in `placed`. Returns the number of pairings, or 0 once it must be less than
+    `needed`.
+    """
     scan, positions, spreads = problem.scan, problem.mapped.positions, problem.mapped.covariances
     grid, gate, misses, (pose, P, features, squares) = table.grid, problem.scan.gates.two, 0, placed
     (rows, columns), (left, bottom, side) = grid.shape, grid.origin
@@ -377,7 +386,7 @@ def _pair_at(table: TriangleHash, problem: Problem, placed: _Placed, anchor: int
                 if square < squares[i] * determinant and _may_pair(problem, i, j, anchor):
                     features[i], squares[i] = j, square / determinant
         misses += features[i] == UNPAIRED
-        for k in range(i if features[i] != UNPAIRED else 0):  # of two that claim one feature, the nearer wins
+        for k in range(i if features[i] != UNPAIRED else 0):
             if features[k] == features[i]:
                 features[k if squares[k] > squares[i] else i] = UNPAIRED
                 misses += 1

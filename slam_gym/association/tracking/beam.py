@@ -161,8 +161,12 @@ def _offer_star(room: _Room, now: int, kept: int, count: int, unpaired: float) -
 def _offer_pairing(
     pairings: Pairings, level: _Level, c: int, place: int, price: tuple[float, float], best: float
 ) -> tuple[float, int]:
-    """Write the scores of pairing c, at its `price` (gain, margin), after each hypothesis, to column `place` of the
-    offers. Returns the best score and the number of joint tests."""
+    """Score pairing c, at its `price` (gain and margin), after each hypothesis that allows it. Writes the scores to
+    column `place` of the offers.
+
+    Returns the best score, and the number of joint tests. Hypothesis b shares its first shared[b] nodes with the one
+    before, and innovations[q] is that of c after q nodes: both are recomputed only from where the hypotheses differ.
+    """
     room, joined, now, kept = level
     gain, margin = price
     slots, covariance, local, fixed = pairings.slots, pairings.covariance, pairings.local, pairings.fixed
@@ -170,7 +174,7 @@ def _offer_pairing(
     shared, offered = room.shared, room.offered
     pivots, w, slot = joined.pivots, joined.w, slots[c]
     most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
-    valid, tests = 0, 0  # valid: nodes after which the innovation of c is known, from the hypotheses before
+    valid, tests = 0, 0
     store(innovations, 0, innovation_of(pairings, c))
     for b in range(kept):
         valid, p = min(valid, shared[b]), count[now, b]
@@ -255,8 +259,9 @@ def _condition_all(P: Array, node_w: Array, pivots: Array, d: int, slot: int, q:
 def _select(
     pairings: Pairings, state: _Level, level: IntArray, least: float, width: int, used: int
 ) -> tuple[Joined, int, int, bool]:
-    """Write the best hypotheses of the next level, by `*` and the pairings of the `level`. Returns the nodes, how many
-    are in use, the number of hypotheses, and whether the width excluded any."""
+    """Write the hypotheses of the next level: the best of those that score at least `least`. Each continues with `*`,
+    then with the pairings of the `level`. Returns the nodes, how many are in use, the number of hypotheses, and whether
+    the width excluded any."""
     room, joined, now, kept = state
     first, offers = level[0], 1 + level[1] - level[0]
     score, count, made, nodes, offered = room.score, room.pairings, room.made, room.nodes, room.offered

@@ -9,6 +9,9 @@ that the detector reports a feature in view, and v_j the probability that featur
 hypothesis itself implies. Where visibility is unknown, nothing is concluded from features that were not seen: the
 factors are P_D for paired and 1 for other features.
 
+The normalised densities of all hypotheses (`weighed`) yield the marginal probability of every pairing, as in joint
+probabilistic data association: the sum of the weights of the hypotheses that make it.
+
 Where the robot is nearly lost, everything is compatible with everything. The work for a scan is therefore bounded: only
 the nearest candidates of each measurement are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS`
 and `MEMORY` allow. `effort.limit_hit` is set where a bound may have excluded anything. A measurement that may have lost

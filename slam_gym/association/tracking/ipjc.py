@@ -73,7 +73,10 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
 def _search(
     pairings: Pairings, starts: IntArray, errors: Array, variance: float, gates: Array, node_limit: int
 ) -> tuple[IntArray, int, bool]:
-    """Best pairings, by `errors` (c, 2, 4) of the vectors of e(φ); nodes visited; whether the limit was reached."""
+    """The pairings of the best hypothesis, the nodes visited, and whether the limit was reached. Depth first, `*` last.
+
+    `errors` (c, 2, 4) are the four vectors of e(φ).
+    """
     levels, first = len(starts) - 1, pairings.fixed + starts
     later = np.zeros(levels + 1, np.int64)  # number of levels from this one on that have a candidate
     for level in range(levels - 1, -1, -1):

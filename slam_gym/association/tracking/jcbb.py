@@ -178,7 +178,12 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
 
 @inlined
 def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
-    """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]; return the tests."""
+    """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Returns the joint
+    tests.
+
+    Candidates that cannot become legal are dropped: at most one pairing of each earlier level that still has a
+    candidate can precede a candidate. Returns early, with no candidate alive, once the bound must fall below `best`.
+    """
     # unpack once: every access to a field counts a reference
     slots, measured, _, _, covariance, local, fixed = pairings
     alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
@@ -196,12 +201,12 @@ def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: i
         if measured[c] != level:
             if least < math.inf:
                 levels, floor, least = levels + 1, max(floor, least), math.inf
-            if q + levels + remaining < best:  # the bound: no candidate is alive
+            if q + levels + remaining < best:
                 return tests
             remaining, level = remaining - 1, measured[c]
         tests += 1
         e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
-        # eᵀ S⁻¹ e < gate − D²_H without the division, after at most one pairing of each level: this rejects most
+        # eᵀ S⁻¹ e < gate − D²_H without the division: this rejects most candidates
         numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
         determinant = e.xx * e.yy - e.xy * e.xy
         if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):

@@ -183,7 +183,8 @@ def _decide(
     limit_fields: LimitFields,
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
 ) -> tuple[Decided, Marginals, PosteriorFields]:
-    """`rule`: the threshold of p, that for provisional features, and the sightings that confirm a feature."""
+    """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
+    feature, and the number of sightings from which a feature is no longer provisional."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     prior, limits, network = Prior(*prior_arrays), Limits(*limit_fields), Network(*network_arrays)
     threshold, provisional, confirmations = rule
