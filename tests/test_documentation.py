@@ -266,10 +266,8 @@ def test_readme_is_short_and_results_are_six_short_pages_with_their_plots() -> N
 
 
 def test_pictures_are_small_and_shown_and_none_is_missing() -> None:
-    pages, folder = (
-        "\n".join(map(text_of, PAGES)) + (ROOT / "docs" / "hooks.py").read_text(),
-        ROOT / "docs" / "pictures",
-    )
+    pages = "\n".join(map(text_of, PAGES)) + (ROOT / "docs" / "hooks.py").read_text()
+    folder = ROOT / "docs" / "pictures"
     for picture in folder.glob("*.png"):
         assert picture.stat().st_size < 150_000, picture.name
         assert picture.name in pages or picture.name.startswith(("scenario_", "small_")) or picture.stem in pages

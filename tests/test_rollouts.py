@@ -125,12 +125,7 @@ ROLLOUTS: dict[str, Rollout] = {
     "associate/closure/3": _associate("closure/3", driver="random"),
     "relocate/office-small": _relocate("office-small", 100),
     "relocate/aliased": _relocate("aliased", 120, locality="distance", outside=0.0),
-    "vector/twist": Rollout(
-        "Explore",
-        25,
-        {"scenario": "office-small", "action": "twist", "workers": 2, "overrides": {"budget": 10}},
-        worlds=3,
-    ),
+    "vector/twist": _twist("office-small", 25, workers=2, overrides={"budget": 10})._replace(worlds=3),
 }
 
 

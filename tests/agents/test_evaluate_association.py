@@ -7,23 +7,18 @@ import pandas as pd
 import pytest
 
 from agents.evaluate_association import app
-from slam_gym.association import nearest_neighbour
 from slam_gym.recordings import save
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.agents import typed
+from tests.agents.ranking.test_board import MINE
 from tests.agents.reports import Page
 from tests.recordings import drive
 
 
-def mine(scan, prediction):
-    """An associator of a user: nearest neighbour."""
-    return nearest_neighbour(scan, prediction)
-
-
 def test_the_command_in_the_loop(tmp_path):
-    own, out = f"{__name__}:mine", tmp_path / "out"
-    line = ["--associators", own, "true_association", "--scenario", "office-small", "clutter/1", "--episodes", "2"]
+    out = tmp_path / "out"
+    line = ["--associators", MINE, "true_association", "--scenario", "office-small", "clutter/1", "--episodes", "2"]
     result = typed(app, *line, "--set", "budget=60", "--jobs", 1, "--output", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")

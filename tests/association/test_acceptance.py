@@ -22,8 +22,7 @@ from slam_gym.association.acceptance import (
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.measurement import keep_unambiguous
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
-from tests.oracles import relocation as oracles
+from slam_gym.types import UNPAIRED, Landmarks, Odometry, Scan
 
 
 def world(seed, n, m, *, density=1 / 16, sigma=0.05, clusters=False):
@@ -33,16 +32,7 @@ def world(seed, n, m, *, density=1 / 16, sigma=0.05, clusters=False):
     places = rng.uniform(0.0, side, (n, 2))
     if clusters:
         places = places[rng.integers(0, n // 10, n)] + rng.normal(0.0, 2.0, (n, 2))
-    landmarks = replace(
-        oracles.landmarks_of(np.empty((0, 2)), np.empty((0, 0))),
-        positions=places,
-        covariances=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
-        sizes=np.full(n, np.nan),
-        size_variances=np.full(n, np.nan),
-        kinds=np.full(n, UNKNOWN_KIND),
-    )
-    scan = oracles.scan_of(rng.uniform(-5.0, 5.0, (m, 2)), np.tile(sigma**2 * np.eye(2), (m, 1, 1)))
-    return scan, landmarks
+    return Scan.from_points(rng.uniform(-5.0, 5.0, (m, 2)), sigma=sigma), Landmarks.from_points(places, sigma=sigma)
 
 
 @pytest.mark.parametrize("clusters", [False, True])
@@ -128,8 +118,7 @@ def test_sizes_and_common_drift_are_taken_into_account():
 def test_never_less_than_three_and_never_more_than_all_and_one(m):
     scan, landmarks = world(3, 5, m)
     assert 3 <= min_pairings(scan, landmarks) <= max(m + 1, 3)
-    nothing = oracles.landmarks_of(np.empty((0, 2)), np.empty((0, 0)))
-    assert min_pairings(scan, nothing) == 3
+    assert min_pairings(scan, Landmarks.from_points([], sigma=0.1)) == 3
 
 
 def test_a_probability_that_is_none_is_refused():

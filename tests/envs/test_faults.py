@@ -14,6 +14,7 @@ from slam_gym.scenarios import Scenario, get_scenario
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.sensor import SensorSpec
+from tests.mapping.small_maps import smallest_over_largest
 from tests.rollouts import episode, explore, short
 
 
@@ -64,7 +65,7 @@ def test_an_associator_that_answers_nonsense_is_refused_and_corrupts_nothing(ans
     with pytest.raises(ValueError, match="features"):
         for _ in episode(env, 50):
             pass
-    assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
+    assert smallest_over_largest(env.episode.slam.map) >= -1e-9 and np.isfinite(env.episode.slam.map.mean).all()
 
 
 def test_an_associator_that_pairs_at_random_does_not_break_the_filter() -> None:
@@ -78,7 +79,7 @@ def test_an_associator_that_pairs_at_random_does_not_break_the_filter() -> None:
     env = explore(short(300), action="twist", associator=reckless)
     for observation, reward, *_ in episode(env):
         assert math.isfinite(reward) and env.observation_space.contains(observation)
-    assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
+    assert smallest_over_largest(env.episode.slam.map) >= -1e-9 and np.isfinite(env.episode.slam.map.mean).all()
 
 
 def box(width: float, height: float, x: float = 0.0, y: float = 0.0) -> list[list[float]]:
@@ -143,11 +144,3 @@ def test_a_long_run_in_its_shortest_form_breaks_nothing(number: int, associator:
     """A few episodes with extreme settings."""
     words, env = long_run.episode(number, 0, 24, associator)
     assert sum(step.ticks for step in long_run.checked(env, number)) > 0, words
-
-
-def sound(covariance: np.ndarray) -> bool:
-    """Symmetric, finite, and positive semidefinite up to λ_min ≥ −1e-9 λ_max."""
-    if not (np.isfinite(covariance).all() and np.array_equal(covariance, covariance.T)):
-        return False
-    eigenvalues = np.linalg.eigvalsh(covariance)
-    return bool(eigenvalues[0] >= -1e-9 * eigenvalues[-1])

@@ -78,11 +78,9 @@ def test_the_truth_played_is_right_inside_and_refusing_is_right_outside():
 
 
 def test_an_answer_is_judged_by_its_pose_and_by_the_tolerances():
-    env = relocate(get_scenario("office-small"), outside=0.0, candidates=200, node_cost=0.0, wrong_cost=3.0)
-    strict = relocate(
-        get_scenario("office-small"), outside=0.0, candidates=200, node_cost=0.0, wrong_cost=3.0, position_tolerance=0.0
-    )
-    believed = 0
+    options = dict(outside=0.0, candidates=200, node_cost=0.0, wrong_cost=3.0)
+    env = relocate(get_scenario("office-small"), **options)
+    strict, believed = relocate(get_scenario("office-small"), position_tolerance=0.0, **options), 0
     for seed in range(6):
         *_, last = episode(env, choose=by_truth, seed=seed)
         *_, judged = episode(strict, choose=by_truth, seed=seed)

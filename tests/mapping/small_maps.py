@@ -43,5 +43,12 @@ def predicted(
     return predict(m, reach, odometry=odometry, graph=graph, recent=lately)
 
 
+def smallest_over_largest(m: StochasticMap) -> float:
+    """Of the eigenvalues of its covariance, which is symmetric."""
+    assert np.array_equal(m.covariance, m.covariance.T)
+    eigenvalues = np.linalg.eigvalsh(m.covariance)
+    return float(eigenvalues[0] / eigenvalues[-1])
+
+
 def h(x: Array, features: Array) -> Array:
     return observe(x[:3], x[3:].reshape(-1, 2)[features]).ravel()

@@ -112,46 +112,33 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:
     assert_equal(graph, oracle)
 
 
-def random_graph(rng: np.random.Generator, n: int, scans: int = 30) -> CovisibilityGraph:
-    graph = CovisibilityGraph()
-    graph.add(n)
-    for _ in range(scans):
-        graph.see_together(rng.choice(n, size=min(n, 5), replace=False))
-    return graph
-
-
-def as_dictionary(graph: CovisibilityGraph) -> dict[tuple[int, int], int]:
-    pairs, counts = graph.edges()
-    return {(i, j): c for (i, j), c in zip(pairs.tolist(), counts.tolist())}
-
-
 def test_a_graph_of_edges_is_the_graph_that_they_are_of() -> None:
-    graph = random_graph(np.random.default_rng(0), 100)
+    graph, oracle = random_pair(np.random.default_rng(0), 60)
     again = graph_of(graph.n, graph.edges())
-    assert as_dictionary(again) == as_dictionary(graph)
-    for each in (graph, again):  # both go on alike
+    assert_equal(again, oracle)
+    for each in (graph, again, oracle):  # all go on alike
         each.see_together(np.arange(40))
-    assert as_dictionary(again) == as_dictionary(graph)
+    assert_equal(graph, oracle)
+    assert_equal(again, oracle)
 
 
 def test_one_graph_after_another_has_the_edges_of_both() -> None:
     rng = np.random.default_rng(1)
-    one, other = random_graph(rng, 9), random_graph(rng, 70)
-    both = one.followed_by(other)
-    moved = {(i + 9, j + 9): c for (i, j), c in as_dictionary(other).items()}
-    assert both.n == 79 and as_dictionary(both) == as_dictionary(one) | moved
+    (one, expected), (other, behind) = random_pair(rng, 8), random_pair(rng, 40)
+    assert 5 < one.n < other.n
+    expected.n += other.n
+    expected.counts |= {(i + one.n, j + one.n): c for (i, j), c in behind.counts.items()}
+    assert_equal(one.followed_by(other), expected)
 
 
 def test_fused_nodes_take_over_each_others_edges() -> None:
-    graph = random_graph(np.random.default_rng(2), 20)
-    kept, dropped = np.array([0, 5]), np.array([3, 17])
-    became = {old: old for old in range(20)} | {3: 0, 17: 5}
-    left = [old for old in range(20) if old not in (3, 17)]
-    expected: Counter[tuple[int, int]] = Counter()
-    for (i, j), c in as_dictionary(graph).items():
+    graph, oracle = random_pair(np.random.default_rng(2), 15)
+    became = {old: old for old in range(graph.n)} | {3: 0, 17: 5}
+    left, fused = sorted(set(became.values())), DictGraph()
+    for (i, j), c in oracle.counts.items():
         i, j = sorted((left.index(became[i]), left.index(became[j])))
         if i != j:
-            expected[i, j] += c
-    fused = graph.fused(kept, dropped)
-    assert fused.n == 18 and as_dictionary(fused) == dict(expected)
-    assert graph.n == 20
+            fused.counts[i, j] += c
+    fused.n = graph.n - 2
+    assert_equal(graph.fused(np.array([0, 5]), np.array([3, 17])), fused)
+    assert_equal(graph, oracle)

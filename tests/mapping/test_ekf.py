@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from slam_gym.geometry import compose, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry
-from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped
+from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped, smallest_over_largest
 from tests.oracles.geometry import numerical
 from tests.oracles.map import SIGMA, KnownAssociation, TextbookMap, make_scan, random_covariances, wander
 
@@ -82,12 +82,6 @@ def test_new_features_are_propagated_to_first_order() -> None:
 
 
 # --- laws -------------------------------------------------------------------------------------------------------------
-
-
-def smallest_over_largest(m: StochasticMap) -> float:
-    assert np.array_equal(m.covariance, m.covariance.T)
-    eigenvalues = np.linalg.eigvalsh(m.covariance)
-    return float(eigenvalues[0] / eigenvalues[-1])
 
 
 @pytest.mark.parametrize("nonsense", [False, True], ids=["EKF", "EKF fed nonsense"])

@@ -14,24 +14,10 @@ from tests.oracles.map import make_scan
 from tests.oracles.statistics import for_seeds
 
 
-def driven_map(seed, n=12):
-    """A map after a drive of ten steps past n features, half of them measured at each."""
-    rng = np.random.default_rng(seed)
-    slam = StochasticMap(None, [1.0, 2.0, 0.7], np.diag([0.01, 0.02, 0.003]))
-    points = rng.uniform(-5.0, 5.0, (n, 2))
-    slam.add(Scan.from_points(points, sigma=0.1), np.arange(n))
-    for _ in range(10):
-        motion = np.array([0.5, 0.0, rng.uniform(-0.5, 0.5)])
-        slam.predict(Odometry(motion, np.diag([0.01, 0.01, 0.002])))
-        seen = predicted(slam, math.inf).positions + 0.1 * rng.standard_normal((n, 2))
-        slam.update(Scan.from_points(seen, sigma=0.1), np.where(rng.random(n) < 0.5, np.arange(n), UNPAIRED))
-    return slam, rng
-
-
 @for_seeds(20)
 def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_predicted(seed):
-    slam, rng = driven_map(seed)
-    prediction, rows = predicted(slam, math.inf), rng.permutation(slam.n)[:7]
+    slam, *_ = mapped(MapSpec(), steps=10, seed=seed)
+    prediction, rows = predicted(slam, math.inf), np.random.default_rng(seed).permutation(slam.n)[:7]
     variance, across = prediction.heading_variance, prediction.heading_covariances[rows]
     P, pose = slam.covariance, slam.pose
     assert variance == pytest.approx(P[2, 2])
@@ -50,10 +36,13 @@ def test_prediction_is_first_order_propagation_of_h() -> None:
     H = numerical(lambda x: h(x, prediction.features), m.mean)
     expected = H @ m.covariance @ H.T
     np.testing.assert_allclose(prediction.positions.ravel(), h(m.mean, prediction.features), atol=1e-12)
-    joint = prediction.joint(np.arange(m.n))
+    joint, rows = prediction.joint(np.arange(m.n)), np.array([6, 0, 6, 3])
     np.testing.assert_allclose(joint, expected, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(joint, joint.T)
     for j, marginal in enumerate(prediction.covariances):
         np.testing.assert_allclose(marginal, expected[2 * j : 2 * j + 2, 2 * j : 2 * j + 2], rtol=0, atol=1e-9)
+    entries = np.column_stack([2 * rows, 2 * rows + 1]).ravel()  # any rows in any order
+    np.testing.assert_allclose(prediction.joint(rows), joint[np.ix_(entries, entries)], rtol=0, atol=1e-15)
 
 
 def test_reach_is_widened_by_three_sigma() -> None:
@@ -65,16 +54,6 @@ def test_reach_is_widened_by_three_sigma() -> None:
     np.testing.assert_array_equal(prediction.features, [0, 2, 3])
     np.testing.assert_allclose(prediction.positions, points[[0, 2, 3]])
     np.testing.assert_allclose(prediction.covariances, R[[0, 2, 3]])
-
-
-def test_joint_of_any_rows_in_any_order() -> None:
-    m, _, _ = mapped()
-    prediction = predicted(m)
-    whole = prediction.joint(np.arange(len(prediction)))
-    rows = np.array([6, 0, 6, 3])
-    entries = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
-    np.testing.assert_allclose(prediction.joint(rows), whole[np.ix_(entries, entries)], rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(whole, whole.T)
 
 
 @pytest.mark.parametrize("locality", [True, False])

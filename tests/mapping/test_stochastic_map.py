@@ -11,9 +11,9 @@ import pytest
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.mapping.small_maps import KEEP, h, mapped, predicted
-from tests.oracles.map import Q, make_scan, random_covariance
+from tests.oracles.map import Q, make_scan, random_covariances
 
 NOISE = np.tile(0.01 * np.eye(2), (3, 1, 1))
 
@@ -40,7 +40,7 @@ def test_copies_go_their_own_way(duplicate) -> None:
     m, _, _ = mapped(steps=5)
     other, mean, covariance = duplicate(m), m.mean, m.covariance
     rng = np.random.default_rng(0)
-    scan = make_scan(h(m.mean, np.arange(3)).reshape(-1, 2) + 0.05, np.array([random_covariance(rng, 0.1)] * 3))
+    scan = make_scan(h(m.mean, np.arange(3)).reshape(-1, 2) + 0.05, random_covariances(rng, 0.1, 3))
     for either in (other, m):
         either.predict(Odometry(np.array([0.1, 0.0, 0.1]), Q))
         either.update(scan, np.arange(3))
@@ -58,12 +58,12 @@ def test_copies_go_their_own_way(duplicate) -> None:
 def look(m: StochasticMap, *features: int) -> None:
     """Measure some features exactly where they are predicted, then end the step."""
     rows = np.array(features, dtype=np.int64)
-    m.update(make_scan(h(m.mean, rows).reshape(-1, 2), np.tile(np.eye(2), (len(rows), 1, 1))), rows)
+    m.update(Scan.from_points(h(m.mean, rows).reshape(-1, 2), sigma=1.0), rows)
     m.end_of_step()
 
 
 def fresh(m: StochasticMap, count: int) -> None:
-    m.add(make_scan(np.ones((count, 2)), np.tile(np.eye(2), (count, 1, 1))), np.arange(count))
+    m.add(Scan.from_points(np.ones((count, 2)), sigma=1.0), np.arange(count))
 
 
 def test_counts_the_steps_in_which_a_feature_was_seen() -> None:
@@ -225,17 +225,11 @@ def test_a_state_that_cannot_be_is_refused(spoil) -> None:
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def scan_with(points: Array | None = None, covariances: Array | None = None) -> Scan:
-    return make_scan(
-        np.ones((2, 2)) if points is None else points,
-        np.tile(np.eye(2), (2, 1, 1)) if covariances is None else covariances,
-    )
-
-
+TWO = Scan.from_points(np.ones((2, 2)), sigma=1.0)
 BAD_SCANS = {
-    "NaN point": scan_with(points=np.array([[1.0, 1.0], [1.0, np.nan]])),
-    "indefinite": scan_with(covariances=np.array([np.eye(2), [[1.0, 2.0], [2.0, 1.0]]])),
-    "asymmetric": scan_with(covariances=np.array([np.eye(2), [[1.0, 0.1], [0.2, 1.0]]])),
+    "NaN point": replace(TWO, points=np.array([[1.0, 1.0], [1.0, np.nan]])),
+    "indefinite": replace(TWO, covariances=np.array([np.eye(2), [[1.0, 2.0], [2.0, 1.0]]])),
+    "asymmetric": replace(TWO, covariances=np.array([np.eye(2), [[1.0, 0.1], [0.2, 1.0]]])),
 }
 
 
@@ -257,7 +251,7 @@ def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
     m, _, _ = mapped()
     mean = m.mean
     with pytest.raises(ValueError, match="features"):
-        m.update(scan_with(), np.array(features))
+        m.update(TWO, np.array(features))
     np.testing.assert_array_equal(m.mean, mean)
     absent = np.array([m.n])
     for refusing in (m.remove, m.covariance_of, lambda features: m.distances_between(features, features, 1.0)):
@@ -266,7 +260,7 @@ def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
 
 
 def test_no_uncertainty_anywhere_is_refused() -> None:
-    m, exact = StochasticMap(), scan_with(covariances=np.zeros((2, 2, 2)))
+    m, exact = StochasticMap(), replace(TWO, covariances=np.zeros((2, 2, 2)))
     m.add(exact, np.array([0]))
     with pytest.raises(ValueError, match="singular"):
         m.update(exact, np.array([0, UNPAIRED]))

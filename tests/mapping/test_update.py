@@ -13,6 +13,7 @@ from slam_gym.mapping.update import update
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import KEEP, STILL, landmarks, mapped
+from tests.oracles.geometry import rigid_motions
 from tests.oracles.map import SIGMA, KnownAssociation, Step, make_scan, random_covariances, wander
 from tests.oracles.statistics import anees_interval, for_seeds
 
@@ -108,14 +109,8 @@ def test_with_wheels_that_turn_badly_the_iterated_filter_alone_is_consistent() -
 
 def unobservable(x: Array) -> Array:
     """(d, 3) what no measurement can tell: where the whole lies in B, and how it is turned about the origin."""
-    out = np.zeros((len(x), 3))
-    out[0::1, :2] = 0.0
-    out[[0, *range(3, len(x), 2)], 0] = 1.0
-    out[[1, *range(4, len(x), 2)], 1] = 1.0
-    out[2, 2] = 1.0
-    for j in (0, *range(3, len(x), 2)):
-        out[j, 2], out[j + 1, 2] = -x[j + 1], x[j]
-    return out
+    places = np.delete(x, 2).reshape(-1, 2)
+    return np.insert(rigid_motions(places), 2, [0.0, 0.0, 1.0], axis=0)
 
 
 def information(m: StochasticMap) -> Array:

@@ -6,30 +6,14 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import observe, relative
-from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.active_slam import MAX_FEATURES, expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import WALL, ExploredGrid
 from slam_gym.types import Beams, Odometry, Scan
+from tests.mapping.small_maps import mapped
 
 DRIFT = np.array([0.03, 0.03, 0.02])
 SIGMA = 0.05
-
-
-def correlated_map(rng: np.random.Generator, features: int) -> StochasticMap:
-    """A map built on the move, so that everything is correlated with everything."""
-    slam_map = StochasticMap()
-    true = rng.uniform(-6, 6, (features, 2))
-    for k in range(6):
-        turn = rng.normal(0, 0.5)
-        slam_map.predict(Odometry(np.array([0.7, 0.0, turn]), np.diag([0.05, 0.02, 0.04]) ** 2))
-        local = observe(slam_map.pose, true) + rng.normal(0, 0.05, true.shape)
-        if k < 3:
-            slam_map.add(Scan.from_points(local, sigma=0.1), np.arange(k * features // 3, (k + 1) * features // 3))
-        some = rng.permutation(slam_map.n)[: slam_map.n // 2]
-        pairings = np.full(features, -1)
-        pairings[some] = some
-        slam_map.update(Scan.from_points(local, sigma=0.1), pairings)
-    return slam_map
 
 
 def blank_grid() -> ExploredGrid:
@@ -50,8 +34,7 @@ def by_ekf(slam_map: StochasticMap, place: np.ndarray, heading: float, measured:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_expected_reduction_is_that_of_an_ekf_update_of_a_copy(seed) -> None:
-    rng = np.random.default_rng(seed)
-    slam_map = correlated_map(rng, 30)
+    rng, (slam_map, *_) = np.random.default_rng(seed), mapped(MapSpec(), seed=seed)
     mean, covariance = slam_map.mean, slam_map.covariance
     places, reach = rng.uniform(-6, 6, (8, 2)), 5.0
     found = expected_reduction(mean, covariance, blank_grid(), places, reach=reach, sigma=SIGMA, drift=DRIFT)

@@ -8,6 +8,7 @@ import pytest
 from slam_gym.navigation.explored_grid import BLOCK, FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.frontiers import frontiers
 from slam_gym.types import Beams
+from slam_gym.world.ray_casting import NOTHING, cast, outlines, wall_index
 
 BOUNDS = np.array([-8.0, -7.0, 8.0, 7.5])
 BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
@@ -18,15 +19,6 @@ def sweep(ranges, bearings=BEARINGS, max_range=6.0):
     return Beams(bearings, np.asarray(ranges, dtype=float), max_range)
 
 
-def box_ranges(pose, bounds, max_range=6.0):
-    """Exact ranges from inside an axis-aligned box."""
-    dx, dy = np.cos(pose[2] + BEARINGS), np.sin(pose[2] + BEARINGS)
-    with np.errstate(divide="ignore"):
-        to_x = np.where(dx > 0, bounds[2] - pose[0], bounds[0] - pose[0]) / dx
-        to_y = np.where(dy > 0, bounds[3] - pose[1], bounds[1] - pose[1]) / dy
-    return np.minimum(np.minimum(to_x, to_y), max_range)
-
-
 @pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4, 2.0])
 def test_room_is_mapped_where_it_is(heading):
     """A room of 5 × 3.4 m in a base frame turned by any angle: walls within a cell of the true ones, no frontier."""
@@ -34,16 +26,15 @@ def test_room_is_mapped_where_it_is(heading):
     c, s = math.cos(heading), math.sin(heading)
     to_base = np.array([[c, s], [-s, c]])  # rows of W → B
     grid = ExploredGrid(np.array([-7.0, -7.0, 7.0, 7.0]))
-    room = np.array([-2.5, -1.7, 2.5, 1.7])
+    room = wall_index(outlines(np.array([[0.0, 0.0, 5.0, 3.4, 0.0]])))
     for _ in range(400):
         pose = np.array([*rng.uniform([-2.2, -1.4], [2.2, 1.4]), rng.uniform(-4, 4)])
-        ranges = box_ranges(pose, room) + 0.03 * rng.normal(size=40)
+        ranges = cast(room, pose[:2], pose[2] + BEARINGS, 6.0, NOTHING) + 0.03 * rng.normal(size=40)
         grid.integrate(np.array([*(to_base @ pose[:2]), pose[2] - heading]), sweep(ranges))
     rows, columns = np.nonzero(grid.cells == WALL)
     walls = (grid.origin + (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution) @ to_base
-    off = np.abs(np.abs(walls) - room[2:])
-    assert (off.min(axis=1) < 0.25).all()
-    assert (np.abs(walls) < room[2:] + 0.25).all()
+    beyond = np.abs(walls) - [2.5, 1.7]
+    assert (np.abs(beyond).min(axis=1) < 0.25).all() and (beyond < 0.25).all()
     assert abs((grid.cells == FREE).sum() * grid.resolution**2 - 5.0 * 3.4) < 3.4
     assert len(frontiers(grid, grid.cells == FREE)) == 0
 

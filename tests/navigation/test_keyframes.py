@@ -10,6 +10,7 @@ from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.navigation.explored_grid import UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.keyframes import NO_PAIRS, Keyframes
 from slam_gym.types import NO_ID, Array, Beams, IntArray
+from slam_gym.world.ray_casting import NOTHING, cast, outlines, wall_index
 
 OUTER, INNER = 13.9, 9.9  # [m] sides of the square corridor round a block
 BEARINGS = np.linspace(-np.pi, np.pi, 60, endpoint=False)
@@ -18,31 +19,14 @@ BOUNDS = np.array([-11.0, -11.0, 11.0, 11.0])
 ROUND = 4 * (OUTER + INNER) / 2  # [m] the way once round, in the middle of the corridor
 
 
-def walls():
-    out = []
-    for side in (OUTER / 2, INNER / 2):
-        corners = side * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        out += [[*a, *b] for a, b in zip(corners, np.roll(corners, -1, axis=0))]
-    return np.array(out, dtype=float)
-
-
-WALLS = walls()
-FEATURES = np.concatenate([[[s[0] + t * (s[2] - s[0]), s[1] + t * (s[3] - s[1])] for t in (0.1, 0.35, 0.6, 0.9)]
-                           for s in WALLS])  # fmt: skip
+WALLS = outlines(np.array([[0.0, 0.0, side, side, 0.0] for side in (OUTER, INNER)]))
+FEATURES = np.concatenate([WALLS[:, :2] + t * (WALLS[:, 2:] - WALLS[:, :2]) for t in (0.1, 0.35, 0.6, 0.9)])
+INDEX = wall_index(WALLS)
 
 
 def beams_from(pose):
     """Exact ranges to the walls."""
-    directions = np.column_stack([np.cos(pose[2] + BEARINGS), np.sin(pose[2] + BEARINGS)])
-    ranges = np.full(len(BEARINGS), REACH)
-    for x0, y0, x1, y1 in WALLS:
-        along, gap = np.array([x1 - x0, y1 - y0]), np.array([x0, y0]) - pose[:2]
-        cross = directions[:, 0] * along[1] - directions[:, 1] * along[0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (gap[0] * along[1] - gap[1] * along[0]) / cross
-            s = (gap[0] * directions[:, 1] - gap[1] * directions[:, 0]) / cross
-        ranges = np.where((t > 0) & (s >= 0) & (s <= 1) & (t < ranges), t, ranges)
-    return Beams(BEARINGS, ranges, REACH)
+    return Beams(BEARINGS, cast(INDEX, pose[:2], pose[2] + BEARINGS, REACH, NOTHING), REACH)
 
 
 def pose_at(way):

@@ -14,15 +14,10 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.visibility import NOTHING_EXPLORED, ViewsFrom, probabilities_in_view
 from tests.oracles.densities import in_view
-from tests.oracles.statistics import for_seeds
+from tests.oracles.statistics import for_seeds, random_covariance
 
 FULL = 2.0 * math.pi
 NARROW = ViewsFrom(2.0, 5.0)
-
-
-def covariance(rng, sigma):
-    a = rng.standard_normal((2, 2))
-    return sigma**2 * (a @ a.T + 0.1 * np.eye(2))
 
 
 def grid_of(*rows, resolution=0.5):
@@ -113,7 +108,7 @@ def test_walls_only_ever_hide_and_a_turn_of_everything_changes_nothing(seed):
     )
     pose = np.array([*rng.uniform(0.0, 8.0, 2), rng.uniform(-math.pi, math.pi)])
     features = rng.uniform(0.0, 8.0, (20, 2))
-    covariances = np.array([covariance(rng, 0.1) for _ in range(20)])
+    covariances = np.array([random_covariance(rng, 2, 0.1) for _ in range(20)])
     got = in_view(replace(NARROW, explored=grid.explored), observe(pose, features), covariances, pose)
     free = in_view(NARROW, observe(pose, features), covariances)
     assert (got >= 0.0).all() and (got <= free).all() and (got < free).any()

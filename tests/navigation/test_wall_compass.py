@@ -8,7 +8,7 @@ import pytest
 from slam_gym.geometry import compose
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.types import Array, Beams, Odometry
-from slam_gym.world.ray_casting import NOTHING, Packed, cast, wall_index
+from slam_gym.world.ray_casting import NOTHING, Packed, cast, outlines, wall_index
 
 BEARINGS = np.linspace(-math.pi, math.pi, 90, endpoint=False)
 REACH, SIGMA = 20.0, 0.03
@@ -16,9 +16,7 @@ WHEELS = np.array([0.009, 0.003, 0.008])
 
 
 def box(length: float, width: float) -> Packed:
-    x, y = length / 2, width / 2
-    corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-    return wall_index(np.hstack([corners, np.roll(corners, -1, axis=0)]))
+    return wall_index(outlines(np.array([[0.0, 0.0, length, width, 0.0]])))
 
 
 HALL, ENDLESS = box(24.0, 9.0), box(400.0, 9.0)

@@ -132,12 +132,25 @@ def distance(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -
     """D²_H of pairings (measurement, row), by the formula."""
     if not pairs:
         return 0.0
+    nu, S = stacked(scan, prediction, pairs)
+    return float(nu @ np.linalg.solve(S, nu))
+
+
+def stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
+    """ν and S of pairings (measurement, row)."""
     rows = np.array([j for _, j in pairs])
-    nu = np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs])
     S = prediction.joint(rows).copy()
     for k, (i, _) in enumerate(pairs):
         S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
-    return float(nu @ np.linalg.solve(S, nu))
+    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
+
+
+def decisions(pairs: list[tuple[int, int]], m: int) -> list[int]:
+    """Partner of each of m measurements, or UNPAIRED."""
+    partners = [UNPAIRED] * m
+    for i, j in pairs:
+        partners[i] = int(j)
+    return partners
 
 
 def compatible(scan: Scan, prediction: Prediction, confidence: float) -> list[list[tuple[float, int]]]:
@@ -205,10 +218,7 @@ def best_path(
             longer = [*pairs, (undecided[level], j)]
             if distance(scan, prediction, longer) < gate(2 * len(longer), confidence):
                 stack.append((level + 1, longer))
-    rows = [UNPAIRED] * len(scan)
-    for i, j in best[2]:
-        rows[i] = j
-    return rows, best[1]
+    return decisions(best[2], len(scan)), best[1]
 
 
 def jcbb(scan: Scan, prediction: Prediction, confidence: float) -> tuple[list[int], float]:
@@ -231,10 +241,7 @@ def greedy(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
             if legal and all(j != used for _, used in pairs):
                 pairs = longer
                 break
-    rows = [UNPAIRED] * len(scan)
-    for i, j in pairs:
-        rows[i] = j
-    return rows
+    return decisions(pairs, len(scan))
 
 
 def small_problem(seed: int, **options: bool) -> tuple[Scan, Prediction, float]:
@@ -276,11 +283,7 @@ def near_first(prediction: Prediction, m: int, search: Callable[..., list[int]])
 
 def conditioned(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]], candidate: tuple[int, int]) -> float:
     """D² of a candidate after an EKF update with `pairs`, by the formula."""
-    rows = np.array([j for _, j in [*pairs, candidate]])
-    S, d = prediction.joint(rows).copy(), 2 * len(pairs)
-    for k, (i, _) in enumerate([*pairs, candidate]):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
-    nu = np.concatenate([scan.points[i] - prediction.positions[j] for i, j in [*pairs, candidate]])
+    (nu, S), d = stacked(scan, prediction, [*pairs, candidate]), 2 * len(pairs)
     gain = S[d:, :d] @ np.linalg.inv(S[:d, :d]) if d else np.zeros((2, 0))
     e, left = nu[d:] - gain @ nu[:d], S[d:, d:] - gain @ S[:d, d:]
     return float(e @ np.linalg.solve(left, e))

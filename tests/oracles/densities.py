@@ -11,8 +11,8 @@ import numpy as np
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.navigation.visibility import NOTHING_EXPLORED, ViewsFrom, probabilities_in_view
-from slam_gym.types import UNPAIRED, Array, IntArray, Scan
-from tests.oracles.association import compatible, problem
+from slam_gym.types import UNPAIRED, Array, Scan
+from tests.oracles.association import compatible, problem, stacked
 
 
 class Rates(NamedTuple):
@@ -61,7 +61,7 @@ def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> flo
     """log N(ν_H; 0, S_H)."""
     if not pairs:
         return 0.0
-    nu, S = _stacked(scan, prediction, pairs)
+    nu, S = stacked(scan, prediction, pairs)
     return float(-0.5 * nu @ np.linalg.solve(S, nu) - 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1])
 
 
@@ -81,7 +81,7 @@ def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]
     n = len(prediction)
     positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
     if pairs and prediction.size[3]:
-        nu, S = _stacked(scan, prediction, pairs)
+        nu, S = stacked(scan, prediction, pairs)
         entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
         gain = P[:, entries] @ np.linalg.inv(S)
         positions, P = positions + gain @ nu, P - gain @ P[entries]
@@ -112,15 +112,6 @@ def every_hypothesis(
         if len(set(paired)) == len(paired) and local:
             out.append(list(rows))
     return out
-
-
-def _stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
-    """ν and S of pairings (measurement, row)."""
-    rows: IntArray = np.array([j for _, j in pairs])
-    S = prediction.joint(rows).copy()
-    for k, (i, _) in enumerate(pairs):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
-    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
 
 
 WIDE = {"width": 3000, "margin": 1e9}

@@ -100,14 +100,8 @@ def wander(
         yield Step(Odometry(motion, q), make_scan(points, covariances), sources, pose)
 
 
-def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
-    """(2, 2) with axes sigma and a random smaller one, in a random direction."""
-    covariance: Array = random_covariances(rng, sigma, 1)[0]
-    return covariance
-
-
 def random_covariances(rng: np.random.Generator, sigma: float, count: int) -> Array:
-    """(count, 2, 2) such covariances."""
+    """(count, 2, 2), each with axes sigma and a random smaller one, in a random direction."""
     drawn = rng.random((count, 2))
     angle, second = np.pi * drawn[:, 0], sigma * (0.2 + 0.8 * drawn[:, 1])
     c, s = np.cos(angle), np.sin(angle)

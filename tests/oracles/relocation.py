@@ -5,14 +5,15 @@ Nothing here calls the package's own constraints, location or searches.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
-from tests.oracles.association import gate, random_covariance
+from slam_gym.types import UNKNOWN_KIND, Array, Landmarks, Locality, Relocation, Scan
+from tests.oracles.association import decisions, gate, random_covariance
 from tests.oracles.geometry import rigid_motions
 
 Pairs = list[tuple[int, int]]
@@ -52,11 +53,7 @@ def landmarks_of(positions: Array, covariance: Array, *, keep: str = "dense", **
 
 
 def scan_of(points: Array, covariances: Array, **given: Array) -> Scan:
-    m = len(points)
-    unknown = np.full(m, np.nan)
-    sizes, variances = given.get("sizes", unknown), given.get("size_variances", unknown)
-    kinds = given.get("kinds", np.full(m, UNKNOWN_KIND))
-    return Scan(np.array(points, float).reshape(m, 2), covariances.reshape(m, 2, 2), sizes, variances, kinds)
+    return dataclasses.replace(Scan.from_points(points, covariances), **given)
 
 
 def rotation(angle: float) -> Array:
@@ -329,14 +326,6 @@ def _extensions(
                 if holds(scan, landmarks, P, [*path, (i, j)], confidence):
                     paths.append([*path, (i, j)])
     return paths
-
-
-def decisions(pairs: Pairs, m: int) -> list[int]:
-    """Feature of each measurement, or UNPAIRED."""
-    features = [UNPAIRED] * m
-    for i, j in pairs:
-        features[i] = int(j)
-    return features
 
 
 def small_problem(seed: int, *, largest: int = 5) -> tuple[Scan, Landmarks, Array, dict[str, Locality | None]]:

@@ -50,22 +50,15 @@ def test_whatever_reset_draws_belongs_to_its_split() -> None:
         assert len(set(drawn)) == 20 and all(first <= world < first + count for world in drawn)
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"budget": 0}, "budget"),
-        ({"budget": 1.5}, "budget"),
-        ({"prior_sigma": 0.0}, "prior_sigma"),
-        ({"prior_sigma": float("nan")}, "prior_sigma"),
-        ({"grid_resolution": -0.1}, "grid_resolution"),
-    ],
-)
-def test_a_scenario_that_cannot_be_is_refused_by_field(changes, field) -> None:
-    with pytest.raises(ValueError, match=f"Scenario.{field}"):
-        replace(get_scenario("hall"), **changes)
+WRONG = {
+    get_scenario("hall"): {"budget": (0, 1.5), "prior_sigma": (0.0, float("nan")), "grid_resolution": (-0.1,)},
+    KidnappingSpec(): {"at": (0.0, 1.0), "distance": (-1.0, float("inf"))},
+}
 
 
-@pytest.mark.parametrize(("field", "value"), [("at", 0.0), ("at", 1.0), ("distance", -1.0), ("distance", float("inf"))])
-def test_a_kidnapping_that_cannot_be_is_refused_by_field(field, value) -> None:
-    with pytest.raises(ValueError, match=f"KidnappingSpec.{field}"):
-        KidnappingSpec(**{field: value})
+@pytest.mark.parametrize("spec", WRONG, ids=lambda spec: type(spec).__name__)
+def test_what_cannot_be_is_refused_by_field(spec) -> None:
+    for field, values in WRONG[spec].items():
+        for value in values:
+            with pytest.raises(ValueError, match=f"{type(spec).__name__}.{field}"):
+                replace(spec, **{field: value})

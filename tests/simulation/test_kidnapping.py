@@ -12,7 +12,7 @@ from slam_gym.geometry import compose
 from slam_gym.scenarios import KidnappingSpec, Scenario
 from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, is_right
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
-from tests.rollouts import explore, short
+from tests.rollouts import episode, explore, short
 
 BUDGET = 300
 
@@ -73,13 +73,14 @@ def test_a_pose_is_right_up_to_its_tolerances_in_position_and_heading() -> None:
 # --- what becomes of it -----------------------------------------------------------------------------------------------
 
 
-def nearest_frontier(env: ExploreEnv, world: int) -> dict:
-    """Drive one episode to its end; its quality."""
-    _, info = env.reset(seed=world, options={"world": world})
-    terminated = False
-    while not terminated:
-        legal = np.flatnonzero(info["action_mask"])
-        _, _, terminated, _, info = env.step(int(legal[1]) if len(legal) > 1 else 0)
+def nearest_frontier(env: ExploreEnv, observation: dict, info: dict) -> int:
+    """The first goal on offer after looking around, if there is one."""
+    return int(np.flatnonzero(info["action_mask"])[:2][-1])
+
+
+def quality_of(env: ExploreEnv, world: int) -> dict:
+    """Of one episode, driven to its end."""
+    *_, (*_, info) = episode(env, seed=world, options={"world": world}, choose=nearest_frontier)
     return info["map_quality"]
 
 
@@ -87,7 +88,7 @@ def nearest_frontier(env: ExploreEnv, world: int) -> dict:
 def played(world: int, relocation: str | None) -> tuple[ExploreEnv, dict]:
     """The environment after an episode with a kidnapping in it, and its quality; not to be stepped any more."""
     env = explore(kidnapped(), relocation=relocation)
-    return env, nearest_frontier(env, world)
+    return env, quality_of(env, world)
 
 
 def test_without_relocation_the_robot_never_finds_back_and_with_it_it_does() -> None:
@@ -109,7 +110,7 @@ def test_without_an_atlas_nothing_is_learned_while_the_robot_is_lost() -> None:
     env = explore(kidnapped(), relocation=nobody_knows, atlas=False)
     seen: list[tuple[bool, int, int]] = []
     env.watch(lambda env: seen.append((env.episode.slam.lost, env.episode.slam.map.n, env.episode.grid.cells.sum())))
-    assert nearest_frontier(env, 0)["recovered"] == 0.0
+    assert quality_of(env, 0)["recovered"] == 0.0
     while_lost = [state[1:] for state in seen if state[0]]
     assert len(while_lost) > BUDGET / 4 and len(set(while_lost)) == 1
 
@@ -118,11 +119,8 @@ def test_without_an_atlas_nothing_is_learned_while_the_robot_is_lost() -> None:
 def test_the_robot_is_carried_where_it_is_said_to_be(inside) -> None:
     env = explore(kidnapped(at=0.4, inside=inside, distance=4.0))
     for world in range(2):
-        env.reset(seed=world, options={"world": world})
-        rng, terminated = np.random.default_rng(world), False
-        while not terminated:
-            legal = np.flatnonzero(env.action_masks())
-            terminated = env.step(int(rng.choice(legal)))[2]
+        for _ in episode(env, seed=world, options={"world": world}):
+            pass
         poses, at = np.array(env.episode.poses), env.episode.kidnapping.happened
         assert at == 0.4 * BUDGET and len(poses) == BUDGET + 1
         steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)

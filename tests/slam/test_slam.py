@@ -104,6 +104,9 @@ SEEN = [[1.0, 0.0], [2.0, 1.0]]
         (Odometry(np.array([np.nan, 0, 0]), np.eye(3)), scan_of(SEEN), "odometry"),
         (Odometry(np.zeros(3), np.diag([1.0, -1.0, 1.0])), scan_of(SEEN), "odometry"),
         (Odometry(np.zeros(3), np.full((3, 3), np.inf)), scan_of(SEEN), "odometry"),
+        (scan_of(SEEN), STILL, "odometry: Scan, expected Odometry"),
+        ([1, 0, 0], scan_of([[1, 2]]), r"odometry: list, .*Odometry\.from_motion"),
+        (Odometry.from_motion([1, 0, 0], 0.1), [[1, 2]], r"scan: list, .*Scan\.from_points"),
     ],
 )
 def test_bad_input_is_refused_by_name_and_changes_nothing(odometry, scan, message) -> None:
@@ -175,21 +178,6 @@ def test_locality_hardly_changes_a_decision_while_tracking() -> None:
         with_locality, without = run_corridor("jcbb", seed, q=2.0), run_corridor("jcbb", seed, q=2.0, locality=False)
         assert abs(with_locality.tally.tp - without.tally.tp) <= 6
         assert with_locality.tally.precision > 0.98
-
-
-@pytest.mark.parametrize(
-    ("odometry", "scan", "message"),
-    [
-        (scan_of(SEEN), STILL, "odometry: Scan, expected Odometry"),
-        ([1, 0, 0], Scan.from_points([[1, 2]], sigma=0.1), r"odometry: list, .*Odometry\.from_motion"),
-        (Odometry.from_motion([1, 0, 0], 0.1), [[1, 2]], r"scan: list, .*Scan\.from_points"),
-    ],
-)
-def test_a_step_says_what_it_was_handed_in_place_of_a_motion_and_a_scan(odometry, scan, message):
-    slam = Slam()
-    with pytest.raises(ValueError, match=message):
-        slam.step(odometry, scan)
-    assert not slam.map.pose.any()
 
 
 # --- estimators on a square corridor driven round ---------------------------------------------------------------------

@@ -28,6 +28,7 @@ def test_arrays_are_contiguous_copies():
     walls[0, 0] = 99.0
     assert plan.walls[0, 0] == 0.0
     assert plan.walls.flags.c_contiguous and plan.features.kinds.dtype == np.int64
+    assert plan.walls.dtype == plan.furniture.dtype == plan.features.positions.dtype == np.float64
 
 
 @pytest.mark.parametrize(

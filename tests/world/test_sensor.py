@@ -75,10 +75,8 @@ def test_odometry_noise_adds_up_along_the_way_and_is_small_at_rest():
 def test_odometry_stays_credible_while_the_robot_pushes():
     """True increments against what the wheels report, over pushes of furniture and of walls: not optimistic."""
     furniture = [(22.0, 20.0, 0.8, 0.8, 0.2), (24.0, 21.0, 1.2, 0.6, 1.0), (20.0, 23.0, 0.5, 0.5, 0.0)]
-    plan, rng = (
-        plan_with([], furniture=furniture, inner=[(27, 10, 27, 30), (16, 10, 16, 30)]),
-        np.random.default_rng(16),
-    )
+    plan = plan_with([], furniture=furniture, inner=[(27, 10, 27, 30), (16, 10, 16, 30)])
+    rng = np.random.default_rng(16)
     world = World(plan, np.array([20.0, 20.0, 0.0]), RobotSpec(), DynamicsSpec(), rng)
     sensor, errors, covariances = sensor_in(plan), [], []
     for tick in range(3000):

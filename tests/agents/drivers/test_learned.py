@@ -124,12 +124,8 @@ def test_only_the_most_promising_goals_that_are_legal_are_weighed():
 
 
 def test_tokens_of_an_episode_are_finite_and_know_the_ticks_that_are_left():
-    env, rng, used, over = (
-        ExploreArguments("office-small", split="train").make("goal"),
-        np.random.default_rng(0),
-        0,
-        False,
-    )
+    env, rng = ExploreArguments("office-small", split="train").make("goal"), np.random.default_rng(0)
+    used, over = 0, False
     observation, info = env.reset(**reset_arguments(0))
     while not over:
         _, tokens = tokens_of(observation, used, info["action_mask"])

@@ -14,7 +14,7 @@ from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import grouped
 from agents.options import Execution
 from agents.reports.pages import headline
-from slam_gym.association import ASSOCIATORS, nearest_neighbour, resolve_associator
+from slam_gym.association import ASSOCIATORS, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.types import Effort, Hypothesis
 
@@ -65,16 +65,8 @@ def test_the_meter_changes_nothing_and_counts_every_scan(finished):
     assert math.isnan(meter.effort()["nodes"])
 
 
-def mine(scan, prediction):
-    """An associator of a user: nearest neighbour."""
-    return nearest_neighbour(scan, prediction)
-
-
-def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
-    assert resolve_associator("jcbb") is ASSOCIATORS["jcbb"] and callable(resolve_associator(f"{__name__}:mine"))
+def test_the_truth_goes_by_its_name_and_all_associators_ship():
     assert metered("true_association")[1] == "true_association"
-    with pytest.raises(ValueError, match=r"nn.*jcbb"):
-        resolve_associator("nn")
     assert sorted(SHIPPED) == sorted(ASSOCIATORS)
 
 

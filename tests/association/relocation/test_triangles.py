@@ -150,10 +150,8 @@ def test_refuses_what_was_never_mapped_and_mirror_images():
 def test_says_ambiguous_where_two_places_look_alike():
     rng = np.random.default_rng(6)
     room = rng.uniform(0.0, 20.0, (25, 2))
-    twin, alone = (
-        FeatureIndex(landmarks_at(np.concatenate([room, room + np.array([40.0, 0.0])]))),
-        FeatureIndex(landmarks_at(room)),
-    )
+    twin = FeatureIndex(landmarks_at(np.concatenate([room, room + np.array([40.0, 0.0])])))
+    alone = FeatureIndex(landmarks_at(room))
     for _ in range(30):
         scan, pose, _ = view(rng, room, 10, 2)
         answer, single = twin.relocate(scan), alone.relocate(scan)
@@ -211,11 +209,9 @@ def test_sizes_and_kinds_tell_like_places_apart():
     sizes, variances = np.repeat([0.2, 0.6], 25), np.full(50, 1e-4)
     scan, pose, _ = view(rng, room, 10, 0)
     sized = dataclasses.replace(scan, sizes=np.full(10, 0.2), size_variances=np.full(10, 1e-4))
+    of_one_kind = dataclasses.replace(scan, kinds=np.zeros(10, np.int64))
     for landmarks, seen in (
-        (
-            dataclasses.replace(both, kinds=np.repeat([0, 1], 25)),
-            dataclasses.replace(scan, kinds=np.zeros(10, np.int64)),
-        ),
+        (dataclasses.replace(both, kinds=np.repeat([0, 1], 25)), of_one_kind),
         (dataclasses.replace(both, sizes=sizes, size_variances=variances), sized),
     ):
         answer = indexed(seen, landmarks)

@@ -1,7 +1,6 @@
 """IPJC against scipy's nonlinear optimum over the whole state, and against JCBB where nothing turns."""
 
 import functools
-import math
 
 import numpy as np
 import pytest
@@ -13,9 +12,8 @@ from slam_gym.geometry import observe
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
+from tests.oracles.geometry import rigid_motions
 from tests.oracles.statistics import for_seeds
-
-J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 def turning_problem(rng, m, n, heading_sigma, spread=3.0):
@@ -25,38 +23,27 @@ def turning_problem(rng, m, n, heading_sigma, spread=3.0):
     mixing[:3, :3] = np.diag([0.2, 0.2, heading_sigma])
     mixing[3:] = 0.03 * rng.standard_normal((2 * n, 3 + 2 * n))
     P = mixing @ mixing.T + 1e-6 * np.eye(3 + 2 * n)
-    H = np.zeros((2 * n, 3 + 2 * n))
-    for j, p in enumerate(features):
-        H[2 * j : 2 * j + 2, :2], H[2 * j : 2 * j + 2, 2] = -np.eye(2), -J @ p
-        H[2 * j : 2 * j + 2, 3 + 2 * j : 5 + 2 * j] = np.eye(2)
+    H = np.hstack([-rigid_motions(features), np.eye(2 * n)])
     S, across = H @ P @ H.T, (H @ P[:, 2]).reshape(n, 2)
     state = np.concatenate([np.zeros(3), features.ravel()])
     drawn = state + np.linalg.cholesky(P) @ rng.standard_normal(len(P))
     sigma, points, truth = 0.05, rng.uniform(-spread, spread, (m, 2)), np.full(m, UNPAIRED)
     for i, j in zip(range(round(0.7 * min(m, n))), rng.permutation(n)):
-        points[i], truth[i] = look(drawn[:3], drawn[3:].reshape(-1, 2)[j]) + sigma * rng.standard_normal(2), j
+        points[i], truth[i] = observe(drawn[:3], drawn[3:].reshape(-1, 2))[j] + sigma * rng.standard_normal(2), j
     order = rng.permutation(m)
     prediction = oracles.expecting(features, S, heading_variance=float(P[2, 2]), across=across)
     scan = Scan.from_points(points[order], sigma=sigma)
     return scan, prediction, state, P, truth[order]
 
 
-def look(pose, feature):
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.array([[c, s], [-s, c]]) @ (feature - pose[:2])
-
-
 def posterior_distance(scan, state, P, pairs):
     """Least cost of prior and measurements over the whole state, nonlinear, by scipy."""
-    L = np.linalg.cholesky(P)
+    L, (measured, rows) = np.linalg.cholesky(P), np.array(pairs).T
 
     def residuals(whitened):
         x = state + L @ whitened
-        seen = [
-            (scan.points[i] - look(x[:3], x[3 + 2 * j : 5 + 2 * j])) / math.sqrt(scan.covariances[i, 0, 0])
-            for i, j in pairs
-        ]
-        return np.concatenate([whitened, *seen])
+        off = scan.points[measured] - observe(x[:3], x[3:].reshape(-1, 2)[rows])
+        return np.concatenate([whitened, (off / np.sqrt(scan.covariances[measured, 0, :1])).ravel()])
 
     return 2.0 * float(least_squares(residuals, np.zeros(len(P)), xtol=1e-12, ftol=1e-12, gtol=1e-12).cost)
 

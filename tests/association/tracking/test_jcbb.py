@@ -9,9 +9,10 @@ from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
 
+@pytest.mark.parametrize("locality", [False, True])
 @for_seeds(120)
-def test_jcbb(seed):
-    scan, prediction, confidence = oracles.small_problem(seed)
+def test_jcbb_is_the_best_of_all_paths(seed, locality):
+    scan, prediction, confidence = oracles.small_problem(seed + 1000 * locality, locality=locality)
     rows, distance = oracles.jcbb(scan, prediction, confidence)
     answer = jcbb(scan, prediction)
     oracles.check(answer, scan, prediction, rows)
@@ -31,12 +32,6 @@ def test_the_node_limit_is_reported_and_leaves_the_best_answer_so_far():
         pairings.append((answer.features != UNPAIRED).sum())
     assert pairings[0] == 1 and sorted(pairings) == pairings
     assert answer.features.tolist() == free.features.tolist()
-
-
-@for_seeds(120)
-def test_jcbb_with_locality(seed):
-    scan, prediction, confidence = oracles.small_problem(1000 + seed, locality=True)
-    oracles.check(jcbb(scan, prediction), scan, prediction, oracles.jcbb(scan, prediction, confidence)[0])
 
 
 @for_seeds(40)

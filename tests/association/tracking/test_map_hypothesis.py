@@ -104,10 +104,8 @@ def test_a_beam_of_the_default_width_loses_nothing_on_larger_problems(seed):
 
 def test_of_equal_hypotheses_none_takes_the_place_of_a_better_one():
     prediction = Prediction.from_gaussian([[1.125, 0.0], [0.875, 0.0], [1.0, 0.1875]], 0.0025 * np.eye(6))
-    prediction, scan = (
-        prediction.with_visibility(np.array([0.06, 0.06, 1.0])),
-        Scan.from_points([[1.0, 0.0]], sigma=0.05),
-    )
+    prediction = prediction.with_visibility(np.array([0.06, 0.06, 1.0]))
+    scan = Scan.from_points([[1.0, 0.0]], sigma=0.05)
     assert [map_hypothesis(scan, prediction, width=width).features.tolist() for width in (1, 2, 3)] == 3 * [[2]]
 
 

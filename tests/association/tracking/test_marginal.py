@@ -84,10 +84,8 @@ def test_the_posterior_tells_of_all_decisions_together(seed):
 
 def test_experience_goes_with_the_run_and_is_nobody_elses():
     """The next prediction brings what the last hypothesis has learned; another run begins with nothing."""
-    scan, odometry = (
-        Scan.from_points([[1.0, 0.5], [2.0, -0.5], [1.5, 1.0]], sigma=0.05),
-        Odometry.from_motion([0.1, 0, 0], 0.01),
-    )
+    scan = Scan.from_points([[1.0, 0.5], [2.0, -0.5], [1.5, 1.0]], sigma=0.05)
+    odometry = Odometry.from_motion([0.1, 0, 0], 0.01)
     slam, fresh = Slam(), Slam()
     first = slam.step(odometry, scan, "marginal")
     assert first.prediction.experience is None and first.hypothesis.experience.unpaired > 0.0

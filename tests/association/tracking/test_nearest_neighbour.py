@@ -13,18 +13,11 @@ from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
 
+@pytest.mark.parametrize(("associate", "defined"), [(nearest_neighbour, oracles.nearest), (singles, oracles.singles)])
 @for_seeds(200)
-def test_nearest_neighbour(seed):
+def test_nearest_neighbour_and_singles_are_their_definitions(seed, associate, defined):
     scan, prediction, confidence = oracles.small_problem(seed)
-    answer = nearest_neighbour(scan, prediction)
-    oracles.check(answer, scan, prediction, oracles.nearest(scan, prediction, confidence))
-
-
-@for_seeds(200)
-def test_singles(seed):
-    scan, prediction, confidence = oracles.small_problem(seed)
-    answer = singles(scan, prediction)
-    oracles.check(answer, scan, prediction, oracles.singles(scan, prediction, confidence))
+    oracles.check(associate(scan, prediction), scan, prediction, defined(scan, prediction, confidence))
 
 
 def cheapest(scan, prediction, confidence, allowed, given, _):

@@ -125,11 +125,8 @@ def seen_in_turns(
     """Features around a robot that stands still; `one` (2,) is seen in the first scans, `other` (2,) in the others."""
     around = 3.0 * np.column_stack([np.cos(np.arange(common)), np.sin(np.arange(common))])
     points = np.concatenate([around, one[None], other[None]])
-    m, graph, features = (
-        StochasticMap(MapSpec(unconfirmed_age=None)),
-        CovisibilityGraph(),
-        np.full(common + 2, UNPAIRED),
-    )
+    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+    features = np.full(common + 2, UNPAIRED)
     for turn in range(2 * scans):
         shown = np.append(np.arange(common), common + (turn >= scans))
         seen = Scan.from_points(points[shown] + rng.normal(0.0, SIGMA, (common + 1, 2)), sigma=SIGMA)

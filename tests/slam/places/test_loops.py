@@ -52,15 +52,20 @@ def field(rng: np.random.Generator, count: int) -> Array:
     return rng.uniform(-SIDE / 2.0, SIDE / 2.0, (count, 2))
 
 
+def seen_again(seed: int) -> Mapped:
+    """Forty features, and then 14 of them again."""
+    rng = np.random.default_rng(seed)
+    older = field(rng, 40)
+    return layered(rng, older, older[:14])
+
+
 def loop_in(m: StochasticMap, graph: CovisibilityGraph) -> Array:
     return find_loop(m, graph, SPEC)
 
 
 def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
     for seed in range(5):
-        rng = np.random.default_rng(seed)
-        older = field(rng, 40)
-        pairs = loop_in(*layered(rng, older, older[:14]))
+        pairs = loop_in(*seen_again(seed))
         assert len(pairs) >= 12, f"seed {seed}"
         np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1] - 40)
 
@@ -122,9 +127,7 @@ def test_ground_that_looks_alike_but_is_too_far_is_not_taken_for_old() -> None:
 
 
 def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
-    rng = np.random.default_rng(4)
-    older = field(rng, 40)
-    m, graph = layered(rng, older, older[:14])
+    m, graph = seen_again(4)
     pairs = loop_in(m, graph)
     graph.see_together(pairs[0])
     left = loop_in(m, graph)
@@ -132,9 +135,7 @@ def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
 
 
 def test_kinds_and_sizes_tell_features_apart() -> None:
-    rng = np.random.default_rng(8)
-    older = field(rng, 40)
-    m, graph = layered(rng, older, older[:14])
+    m, graph = seen_again(8)
     assert len(loop_in(m, graph)) >= 12
     sizes = m.arrays[3][ekf.SIZES]
     sizes[:40], sizes[40:54] = 0.2, 0.9
@@ -143,9 +144,7 @@ def test_kinds_and_sizes_tell_features_apart() -> None:
 
 
 def test_a_feature_mapped_first_keeps_its_id_though_it_was_seen_last() -> None:
-    rng = np.random.default_rng(9)
-    older = field(rng, 40)
-    m, graph = layered(rng, older, older[:14])
+    m, graph = seen_again(9)
     last = m.arrays[2][ekf.LAST_SEEN]
     last[:14], last[14:54] = m.step, 0  # the recent part is the one that was mapped first
     pairs = loop_in(m, graph)
@@ -153,9 +152,7 @@ def test_a_feature_mapped_first_keeps_its_id_though_it_was_seen_last() -> None:
 
 
 def test_features_known_exactly_close_no_loop_and_break_nothing() -> None:
-    rng = np.random.default_rng(10)
-    older = field(rng, 40)
-    m, graph = layered(rng, older, older[:14])
+    m, graph = seen_again(10)
     m.arrays[1][:] *= 1e-14
     assert len(loop_in(m, graph)) == 0
 
