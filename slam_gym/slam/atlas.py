@@ -15,8 +15,9 @@ measurements are new. They are exempt from both rules where the errors are those
 
 **Second map.** A robot that was lost for some scans goes on in a new map. It starts there at its pose by odometry, so
 that coordinates remain roughly those of B; in the new map, this pose is known exactly. The recent part of this map is
-searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative relation, in the
-base of the one that began first, the paired features are made equal, and the robot goes on in the joined map.
+searched for in the inactive maps, again whenever a quarter of it is new. Once it is recognised, the maps are joined
+with an uninformative relation, in the base of the one that began first, the paired features are made equal, and the
+robot goes on in the joined map.
 
 **Ids** are unique over all maps and are never given twice; of features that are fused, the older id stays. The features
 of a map that becomes inactive are `removed` in the `SlamStep` of that moment, and `returned` when the map is joined.
@@ -51,6 +52,8 @@ from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
 from slam_gym.validation import Checked
+
+_NEW_PART = 0.25  # fraction of the recent part: if more is new since the last search for it, it is searched for again
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class Atlas:
         self.trust_marginals = trust_marginals
         self._relocate = relocate
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
+        self._searched: IntArray = np.empty(0, np.int64)  # ids of the recent part that was last searched for
 
     def most_accidental(self, experience: Experience | None) -> float:
         """The number of accidental matches in the gate of an old feature above which that feature is not offered.
@@ -176,15 +180,19 @@ class Atlas:
         """The active map joined with an inactive one in which its recent part, or the scan, is recognised."""
         spec = self.spec.recognition
         recent = recent_part(*active, spec)
+        ids = active.map.ids[recent]
+        is_new = np.count_nonzero(~np.isin(ids, self._searched)) > _NEW_PART * len(ids)
+        if is_new:
+            self._searched = ids
         for position, older in enumerate(self.inactive):
-            joined = join_recognised(older, active, recent, spec)
+            joined = join_recognised(older, active, recent, spec) if is_new else None
             just_left = bool(np.isin(older.map.ids, step.removed).any())  # the scan was not found in it
             found = self._relocate(scan, *older, reach, None) if joined is None and not just_left else None
             if found is not None:
                 joined = join_relocated(older, active, found, _features_of(step, active.map), spec)
             if joined is not None:
                 del self.inactive[position]
-                self._search_everywhere = True
+                self._search_everywhere, self._searched = True, self._searched[:0]
                 self._recorded("maps", active.map.step, joined)
                 return joined._replace(returned=older.map.ids)
         return None

@@ -54,7 +54,7 @@ class RecognitionSpec(Checked):
     min_loop_pairs: int = 5
     max_accidental_loops: float = 0.01  # expected number of accidental sets of as many pairs, in one search
     # maps and missed loops, without a prior
-    node_limit: int = 5_000  # poses that the search examines before it gives up: clutter can make it examine every pose
+    node_limit: int = 50_000  # poses that a search examines before it gives up: clutter can make it examine all of them
     min_pairs: int = 8  # with six, half of the loops that were closed without a prior were wrong
 
     def __post_init__(self) -> None:

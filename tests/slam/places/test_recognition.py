@@ -1,12 +1,15 @@
-"""The covariances with which a part of the map is searched for, and the settings of place recognition."""
+"""The covariances with which a part of the map is searched for, what the search finds, and its settings."""
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.spatial import cKDTree
 
+from slam_gym.geometry import observe
+from slam_gym.mapping.covisibility import Edges, graph_of
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.places.recognition import RecognitionSpec, as_scan
-from slam_gym.types import Array, Odometry, Scan
+from slam_gym.slam.places.recognition import RecognitionSpec, as_scan, recognise
+from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.oracles.geometry import rigid_motions
 from tests.oracles.statistics import for_seeds
 
@@ -48,6 +51,27 @@ def test_a_group_never_claims_more_than_the_map_knows(seed: int) -> None:
             assert e @ ours @ e <= (1.0 + 1e-6) * (e @ true @ e)
     drift = np.trace(P) / len(P)
     assert np.trace(claimed) / len(claimed) < 0.1 * drift  # and yet what is common does not count
+
+
+def seen_once(points: Array, rng: np.random.Generator) -> StochasticMap:
+    """A map of points (n, 2) [m] in R, each seen once."""
+    m, sigma = StochasticMap(MapSpec(unconfirmed_age=None)), 0.05
+    m.add(Scan.from_points(points + rng.normal(0.0, sigma, points.shape), sigma=sigma), np.arange(len(points)))
+    return m
+
+
+@for_seeds(3)
+def test_a_part_of_a_dense_map_is_recognised_by_default(seed: int) -> None:
+    """Among 1 600 features a metre from each other, many sets of three fit any triangle, and each is examined."""
+    rng, n, pose = np.random.default_rng(seed), 1600, np.array([20.0, 15.0, 2.0])
+    points = np.argwhere(np.ones((40, 40))) + rng.uniform(-0.4, 0.4, (n, 2))
+    pairs = np.sort(cKDTree(points).query_pairs(2.5, output_type="ndarray"), axis=1)
+    graph, near = graph_of(n, Edges(pairs, np.ones(len(pairs), np.int64))), np.hypot(*observe(pose, points).T).argsort()
+    old, new = seen_once(points, rng), seen_once(observe(pose, points[near[:20]]), rng)
+    found = recognise(new, np.arange(20), old, graph, np.arange(n), RecognitionSpec())
+    assert found is not None and found.pairings >= 18
+    assert np.isin(found.features, [UNPAIRED, *near[:20]]).all()
+    np.testing.assert_allclose(found.pose, pose, atol=0.1)
 
 
 def test_a_loop_of_more_pairs_than_the_recent_part_has_features_is_refused() -> None:
