@@ -52,6 +52,10 @@ class Tracker:
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
 
+    Where the prediction tells what is in view, a scan of fewer than `min_expected` measurements adds no doubt, whether
+    it is believed or not: what should be in view may be hidden by something that is not mapped yet, and a few spurious
+    measurements would then make the robot lost.
+
     Where the prediction does not tell what is in view, a scan that pairs a confirmed feature begins no doubt, unless
     most of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt
     would keep the map from learning the features that the next scans can be paired with. The sector in which anything
@@ -90,7 +94,7 @@ class Tracker:
         return self.doubted >= self.scans
 
     def believes(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Whether the scan has enough pairings to be learned from; counts it as doubted otherwise.
+        """Whether the scan has enough pairings to be learned from; a scan that has not may count as doubted.
 
         Some pairings are accidental, so a lost robot needs twice the fraction, and twice the number, to be believed.
         """
@@ -99,7 +103,7 @@ class Tracker:
         if not prediction.has_view:
             self.look(scan.points)
         if not self._is_believable(scan, prediction, hypothesis):
-            self.doubted += 1
+            self.doubted += len(scan) >= self.min_expected or not prediction.has_view
             return False
         if self._pairs_by_chance(scan, prediction, hypothesis):
             self.doubted, self._accidental = self.scans, 0  # lost

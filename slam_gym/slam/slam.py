@@ -250,7 +250,7 @@ class Slam:
 
     @property
     def doubted(self) -> bool:
-        """Whether the last scan was not believed. Always False without `relocate`."""
+        """Whether a scan was doubted, and none has been believed since. Always False without `relocate`."""
         return self.tracker is not None and self.tracker.doubted > 0
 
     @property

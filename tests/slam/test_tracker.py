@@ -60,15 +60,21 @@ def test_neither_are_features_that_are_not_established_nor_too_few_to_tell() -> 
     assert doubts(tracker, in_view, paired(0), np.arange(FEATURES) < 4)
 
 
-def test_the_fraction_decides() -> None:
-    in_view = prediction(np.full(FEATURES, 0.9))
-    assert doubts(Tracker(0.3, 3, 4), in_view, paired(2)) and not doubts(Tracker(0.3, 3, 4), in_view, paired(3))
-
-
-def test_lost_after_so_many_in_a_row_and_found_only_by_a_larger_fraction() -> None:
+def test_where_the_view_is_known_few_measurements_are_not_learned_from_and_neither_add_nor_end_a_doubt() -> None:
     tracker, in_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9))
-    for count in (1, 2):
-        assert doubts(tracker, in_view, paired(0)) and tracker.doubted == count and not tracker.lost
+    few = replace(paired(0), features=np.full(3, UNPAIRED))
+    for doubted in (0, 1, 2):
+        for _ in range(10):
+            assert doubts(tracker, in_view, few) and tracker.doubted == doubted
+        assert doubts(tracker, in_view, paired(0))
+    assert tracker.lost
+
+
+def test_the_fraction_decides_lost_after_so_many_in_a_row_and_found_only_by_a_larger_fraction() -> None:
+    tracker, in_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9))
+    assert not doubts(Tracker(0.3, 3, 4), in_view, paired(3))
+    for count, few in ((1, 2), (2, 0)):
+        assert doubts(tracker, in_view, paired(few)) and tracker.doubted == count and not tracker.lost
     assert not doubts(tracker, in_view, paired(3)) and tracker.doubted == 0
     for _ in range(3):
         doubts(tracker, in_view, paired(0))
