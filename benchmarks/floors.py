@@ -6,8 +6,9 @@ decisions.
 The columns `batch` are the errors of batch least squares with the same pairings; with the true ones, they are the floor
 of the table.
 
-    python benchmarks/floors.py --floors A_occ_map.npy.gz B_occ_map.npy.gz --seeds 0 1 --out floors.csv
+    SLAM_GYM_DATA=... python benchmarks/floors.py --floors 50052750 50010535_PLAN1 --seeds 0 1 --out floors.csv
 
+A floor is a file, or the name of one in the folder `kth_floorplans` of the recordings.
 The last table has the mean of each measure over all drives with its 95 % bootstrap interval, and the number of sound
 drives, as in `drift_reference.py`.
 
@@ -24,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from agents.demo import mapped, one_drive
-from benchmarks.common import Record, options, table
+from benchmarks.common import Record, data_folder, options, table
 from benchmarks.drift_reference import batch_errors, sound
 from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.simulation.episode import Episode
@@ -34,10 +35,17 @@ from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Array
 
 SCENARIO = "building"
+SUFFIX = "_occ_map.npy.gz"
 ASSOCIATORS = ("jcbb", "marginal", "learned", CEILING)
 KEYS = ["floor", "seed", "associator"]
 MEASURES = ("map_error_aligned", "map_error", "duplicates", "missed_loop", "precision", "recall", "anees")
 SUMMARY = ["map_error_aligned", "map_error", "batch_aligned", "batch", "duplicates", "precision", "recall"]
+
+
+def file_of(floor: str) -> str:
+    """The path of a floor plan that is given by its path or by its name among the recordings."""
+    folder = None if Path(floor).exists() else data_folder()
+    return floor if folder is None else str(folder / "kth_floorplans" / f"{floor}{SUFFIX}")
 
 
 def replayed(arguments: dict[str, Any], seed: int, speeds: Array, associator: str) -> Record:
@@ -73,9 +81,9 @@ def main() -> None:
     done = set(rows[KEYS].itertuples(index=False, name=None))
     ticks = 60 if a.quick else a.ticks
     for floor in a.floors:
-        name = Path(floor).name.removesuffix("_occ_map.npy.gz") or SCENARIO
+        name = Path(floor).name.removesuffix(SUFFIX) or SCENARIO
         arguments: dict[str, Any] = {"split": "test", "overrides": {"budget": ticks} if ticks else {}}
-        arguments |= {"floor_plan": floor, "resolution": 0.1} if floor else {}
+        arguments |= {"floor_plan": file_of(floor), "resolution": 0.1} if floor else {}
         for seed in a.seeds:
             remaining = [associator for associator in a.associators if (name, seed, associator) not in done]
             if not remaining:
