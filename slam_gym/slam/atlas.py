@@ -185,9 +185,10 @@ class Atlas:
         if is_new:
             self._searched = ids
         for position, older in enumerate(self.inactive):
+            if np.isin(older.map.ids, step.removed).any():
+                continue  # it was left in this step, since the scan was not found in it
             joined = join_recognised(older, active, recent, spec) if is_new else None
-            just_left = bool(np.isin(older.map.ids, step.removed).any())  # the scan was not found in it
-            found = self._relocate(scan, *older, reach, None) if joined is None and not just_left else None
+            found = self._relocate(scan, *older, reach, None) if joined is None else None
             if found is not None:
                 joined = join_relocated(older, active, found, _features_of(step, active.map), spec)
             if joined is not None:

@@ -152,3 +152,16 @@ def test_features_that_are_back_are_judged_as_if_they_had_never_left():
     update(identities, joined, truth(7))
     again = update(identities, step([0, 1]), truth(7, 8))
     assert again.tp == 2 and again.fp == 0
+
+
+def test_another_map_may_begin_and_be_joined_in_one_step():
+    """Features 0 and 1 are left behind, 2 and 3 come back, and 3 is fused with 2, as is the new feature 4."""
+    identities = mapped(7, 8)
+    identities.judge(step([], removed=[0, 1]), truth())
+    identities.judge(step([2, 3], [True, True], prediction=NOTHING), truth(5, 5))
+    identities.judge(step([], removed=[2, 3]), truth())
+    identities.judge(replace(step([], removed=[]), returned=np.array([0, 1])), truth())
+    begun = step([4], [True], removed=[0, 1, 4, 3], prediction=NOTHING)
+    assert update(identities, replace(begun, returned=np.array([2, 3])), truth(5)).new_right == 1
+    assert update(identities, step([2, NO_ID]), truth(5, 7)).tp == 1  # and 7 is not in the map
+    assert identities.total.fn == 0
