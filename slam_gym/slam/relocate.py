@@ -52,9 +52,9 @@ class Tracker:
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
 
-    Where the prediction tells what is in view, a scan of fewer than `min_expected` measurements adds no doubt, whether
-    it is believed or not: what should be in view may be hidden by something that is not mapped yet, and a few spurious
-    measurements would then make the robot lost.
+    Where the prediction tells what is in view, a scan of fewer than `min_expected` measurements is not counted as
+    doubted: what should be in view may be hidden by something that is not mapped yet, and a few spurious measurements
+    would then make the robot lost.
 
     Where the prediction does not tell what is in view, a scan that pairs a confirmed feature begins no doubt, unless
     most of many expected features are missing: on new ground, where one scan pairs less than the one before, a doubt
@@ -103,7 +103,8 @@ class Tracker:
         if not prediction.has_view:
             self.look(scan.points)
         if not self._is_believable(scan, prediction, hypothesis):
-            self.doubted += len(scan) >= self.min_expected or not prediction.has_view
+            if len(scan) >= self.min_expected or not prediction.has_view:
+                self.doubted += 1
             return False
         if self._pairs_by_chance(scan, prediction, hypothesis):
             self.doubted, self._accidental = self.scans, 0  # lost
