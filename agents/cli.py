@@ -24,8 +24,8 @@ def command(
     """The typer app of a function, as in `app = command(main, "slam-gym …")`, with an example at the end of its help.
 
     With `name` and `app`, the function becomes one of several commands of that app. A parameter that is a dataclass,
-    such as `World`, is replaced by options for its fields. An option with several values takes them in a row, as in
-    `--agents random learned`. Invalid input ends with one line of text and exit code 2.
+    such as `ExploreWorld`, is replaced by options for its fields. An option with several values takes them in a row,
+    as in `--agents random learned`. Invalid input ends with one line of text and exit code 2.
     """
     hints = get_type_hints(function, include_extras=True)
     groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}

@@ -8,13 +8,13 @@ from typing import Annotated
 from typer import Option
 
 from agents.cli import command, evaluate
-from agents.options import Episodes, Execution, Names, World
+from agents.options import Episodes, Execution, ExploreWorld, Names
 
 EPISODES = 4  # for a first look in a minute; tables need 40
 
 
 def main(
-    world: World,
+    world: ExploreWorld,
     episodes: Episodes,
     execution: Execution,
     agents: Annotated[Names, Option(metavar="NAME …", help="See slam-gym list drivers; or module:Class.")] = None,

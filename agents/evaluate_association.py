@@ -29,7 +29,7 @@ class Loop(Scenes, Episodes):
 
 
 @dataclass(frozen=True)
-class Candidates:
+class EvaluatedAssociators:
     """The evaluated associators and relocation searches."""
 
     associators: Associators = None
@@ -51,7 +51,7 @@ class Candidates:
 
 
 def main(
-    candidates: Candidates,
+    candidates: EvaluatedAssociators,
     execution: Execution,
     loop: Loop,
     suite_options: Suite,
@@ -93,7 +93,7 @@ def main(
         evaluate(evaluation, execution, out, films)
 
 
-def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Path) -> Evaluation:
+def _on_logs(candidates: EvaluatedAssociators, recorded: Recorded, recording: str, out: Path) -> Evaluation:
     from agents.evaluation.mapped_log import logs_of, recording_evaluation
     from slam_gym.slam.relocate import SEARCH
 

@@ -51,7 +51,7 @@ class Scenes:
 
 
 @dataclass(frozen=True)
-class World(Scenes):
+class ExploreWorld(Scenes):
     """Scenes, with options for SLAM."""
 
     associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None

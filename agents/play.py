@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from typer import Option
 
 from agents.cli import command
-from agents.options import World
+from agents.options import ExploreWorld
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def _verdict(game: Game, world: int, info: Info) -> str:
 
 
 def main(
-    world_options: World,
+    world_options: ExploreWorld,
     agent: Annotated[
         str | None, Option(metavar="NAME", help="Watch a driver: see slam-gym list drivers; or module:Class.")
     ] = None,

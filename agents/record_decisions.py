@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 EPISODES = 10
 
 
-class Decided(NamedTuple):
+class EpisodeDecisions(NamedTuple):
     """The t decisions of an episode."""
 
     observations: dict[str, NDArray[np.float32]]  # parts (t + 1, …): before each decision, and after the last
@@ -32,7 +32,7 @@ class Decided(NamedTuple):
 
 def decisions(
     env: gym.Env[Any, Any], associator: str | Callable[..., Any], worlds: range, mistakes: float = 0.0
-) -> Iterator[Decided]:
+) -> Iterator[EpisodeDecisions]:
     """The episode of Associate-v0 in each world, decided by an associator; `true_association` uses the truth.
 
     A measurement whose feature is not on offer is left unpaired. A fraction of `mistakes` is decided at random, so that
@@ -62,7 +62,7 @@ def decisions(
             steps.append((mask, action, right, reward))
         masks, actions, rights, rewards = (np.array(column) for column in zip(*steps))
         parts = {name: np.stack([each[name] for each in observations]) for name in observations[0]}
-        yield Decided(parts, masks.astype(bool), actions, rights, rewards, world)
+        yield EpisodeDecisions(parts, masks.astype(bool), actions, rights, rewards, world)
 
 
 def main(

@@ -9,32 +9,13 @@ LOG.png         features with ellipses of two standard deviations, and the path;
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from typer import Argument, Option
 
 from agents.cli import command
 from agents.options import Search, search_of
-
-if TYPE_CHECKING:
-    from slam_gym.recordings import Recording
-    from slam_gym.slam.slam import Slam
-    from slam_gym.types import Array
-
-
-def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array, int]:
-    """Run SLAM over a log; returns it with its poses (T, 3) [m, m, rad], and the number of scans that were doubted."""
-    from agents.evaluation.mapped_log import slam_with
-    from slam_gym.scenarios.registry import slam_for
-
-    slam = slam_with(slam_for(log), relocation)
-    poses, doubted = np.empty((len(log), 3)), 0
-    for step, (odometry, scan, _) in enumerate(log.steps()):
-        slam.step(odometry, scan, associator)
-        poses[step] = slam.map.pose
-        doubted += slam.doubted
-    return slam, poses, doubted
 
 
 def main(
@@ -49,14 +30,17 @@ def main(
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from agents.evaluation.mapped_log import map_log
     from agents.evaluation.tables import counted
     from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import plot_map, plot_path
+    from slam_gym.scenarios.registry import slam_for
 
     output.mkdir(parents=True, exist_ok=True)
     for recording in open_recordings(log):
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
-        slam, poses, doubted = run(recording, associator, search_of(relocation))
+        mapped = map_log(recording, associator, slam_for(recording), search_of(relocation), in_world=False)
+        slam, poses, doubted = mapped.slam, mapped.poses, mapped.doubted
         base = recording.name.replace("/", "-")
         files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
         columns = []

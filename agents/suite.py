@@ -54,7 +54,7 @@ OTHER_BUILDING = 5_000  # offset from the number of a world to that of its other
 
 
 @dataclass(frozen=True)
-class Problem:
+class AssociationProblem:
     """One scan to be associated, and the truth about it."""
 
     scan: Scan
@@ -141,7 +141,7 @@ class TwoLaps:
         return self.sensor.scan(pose, self.rng, (people, NO_SEGMENTS))
 
 
-def problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[Problem]:
+def problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[AssociationProblem]:
     """Up to `count` problems of a world."""
     laps, sensor, (position, heading) = TwoLaps(level, world, split), level.scenario.sensor, level.blind
     blind = np.array([position, position, heading])
@@ -151,10 +151,10 @@ def problems(level: Level, world: int, count: int, split: str = "test") -> Itera
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
         sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=stop.grid.explored)
         prediction = predict(lost, sensor.range, sight=sight, view_moves=False)
-        yield Problem(stop.scan, prediction, stop.truth)
+        yield AssociationProblem(stop.scan, prediction, stop.truth)
 
 
-def ask(name: str, function: Callable[..., Any], problem: Problem | RelocationProblem) -> Any:
+def ask(name: str, function: Callable[..., Any], problem: AssociationProblem | RelocationProblem) -> Any:
     """The answer of an associator, of which `true_association` receives the truth, or of a relocator."""
     if isinstance(problem, RelocationProblem):
         return function(problem.scan, problem.landmarks, problem.locality)

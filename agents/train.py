@@ -13,12 +13,12 @@ from typing import Annotated, Literal
 from typer import Option
 
 from agents.cli import command
-from agents.options import AssociateWorld, Training, World
+from agents.options import AssociateWorld, ExploreWorld, Training
 
 QUICK = 400_000  # decisions
 
 
-def options_of(world: World | AssociateWorld, *names: str) -> str:
+def options_of(world: ExploreWorld | AssociateWorld, *names: str) -> str:
     """The options `names` and the overrides that a command has got, as another command takes them."""
     given = [(f"--{name.replace('_', '-')}", getattr(world, name)) for name in names]
     given += [("--set", change) for change in world.overrides or ()]
@@ -27,7 +27,7 @@ def options_of(world: World | AssociateWorld, *names: str) -> str:
 
 def drive(
     training: Training,
-    world: World,
+    world: ExploreWorld,
     action: Annotated[Literal["goal", "twist"], Option(help="What it decides.")] = "goal",
     reward: Annotated[str, Option(help="map_error, a_opt, d_opt or entropy.")] = "map_error",
 ) -> None:

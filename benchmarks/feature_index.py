@@ -29,7 +29,7 @@ DENSITY = 1.0 / 16.0  # [1/m²]
 NEAR = 0.3, math.radians(3.0)  # of a right pose
 
 
-class Kind(NamedTuple):
+class ScanKind(NamedTuple):
     """A kind of scans."""
 
     m: int
@@ -39,8 +39,8 @@ class Kind(NamedTuple):
 
 
 KINDS = (
-    *(Kind(m, s, half) for m, s in ((10, 0.0), (10, 0.3), (20, 0.3), (20, 0.5)) for half in (False, True)),
-    *(Kind(m, s, half, inside=False) for m, s, half in ((10, 0.3, False), (20, 0.5, False), (20, 0.5, True))),
+    *(ScanKind(m, s, half) for m, s in ((10, 0.0), (10, 0.3), (20, 0.3), (20, 0.5)) for half in (False, True)),
+    *(ScanKind(m, s, half, inside=False) for m, s, half in ((10, 0.3, False), (20, 0.5, False), (20, 0.5, True))),
 )
 
 
@@ -50,7 +50,7 @@ def point_map(n: int, rng: np.random.Generator) -> tuple[Array, Landmarks]:
     return truth, Landmarks.from_points(truth + SIGMA * rng.standard_normal((n, 2)), sigma=SIGMA)
 
 
-def query(truth: Array, kind: Kind, rng: np.random.Generator) -> tuple[Scan, Array]:
+def query(truth: Array, kind: ScanKind, rng: np.random.Generator) -> tuple[Scan, Array]:
     """A scan from a random place among true features (n, 2), and its pose (3,); NaN outside the map."""
     side, seen = math.sqrt(len(truth) / DENSITY), kind.m - round(kind.spurious * kind.m)
     pose = np.array([*rng.uniform(0.15 * side, 0.85 * side, 2), rng.uniform(-math.pi, math.pi)])

@@ -28,17 +28,17 @@ import pandas as pd
 
 from agents.evaluation.mapped_log import map_log
 from benchmarks.common import attempt, count_answers, data_folder, options, table
-from slam_gym import Landmarks, Locality, Scan, Slam, Smoothed, gcbb, indexed, random_sampling, smooth
+from slam_gym import Landmarks, Locality, Scan, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
-from slam_gym.simulation.judged import CEILING, JudgedSlam
+from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import features_in_view
-from slam_gym.types import Array, IntArray, Truth
+from slam_gym.types import Array, IntArray
 
 KNOWN = 3  # least number of mapped trunks in a scan from inside
 MISLABELLED = 5.0  # [m] a feature this far from the place of its label has another source
@@ -76,11 +76,9 @@ def reference(log: Recording) -> Smoothed:
 def park(folder: Path, scans: int, steps: int | None) -> Place:
     """Victoria Park, or its first `steps`, mapped in the first half; up to `scans` scans inside, as many outside."""
     log = victoria_park(folder).part(0, steps)
-    optimum, half, slam = reference(log), len(log) // 2, Slam(slam_for(log))
-    judged = JudgedSlam(slam, "jcbb")
-    for odometry, scan, sources in log.part(0, half).steps():
-        judged.step(odometry, scan, Truth(np.zeros(3), sources))
-    mapped = HalfMap(slam.map.positions, judged.identities.source_of(slam.map.ids))
+    optimum, half = reference(log), len(log) // 2
+    first = map_log(log.part(0, half), "jcbb", slam_for(log))
+    slam, mapped = first.slam, HalfMap(first.slam.map.positions, first.features["identity"].to_numpy())
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
     chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
     localities: dict[str, Locality | None] = {

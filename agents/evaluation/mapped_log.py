@@ -91,6 +91,8 @@ class MappedLog:
     """The result of mapping a log of T steps and M measurements, in B, the frame of the map."""
 
     log: Recording
+    slam: Slam  # after the last step
+    doubted: int  # scans that were doubted
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
     measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
@@ -100,16 +102,12 @@ class MappedLog:
     in_world: bool  # B is the frame W of the reference, since the reference gives the pose at the log's start
 
 
-def slam_with(spec: SlamSpec, relocation: str | None) -> Slam:
-    """A SLAM run with an atlas that relocates a lost robot by a search, or for None a run with neither."""
-    if relocation is None:
-        return Slam(spec)
-    return Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
+def map_log(
+    log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None, *, in_world: bool = True
+) -> MappedLog:
+    """Map a log with an associator; `relocation` is the search that relocates a lost robot, None: no search, no atlas.
 
-
-def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
-    """Map a log with an associator; `relocation` is the search that relocates a lost robot.
-
+    The frame of the map is that of the reference, where it gives the pose at the start and `in_world` is true.
     With `true_association`, the map uses the identities as well: every labelled feature is added when it is first seen,
     without confirmation, and no other feature is. The remaining error is not caused by associations, and the robot is
     never lost. Raises as `Slam.step` does, and ValueError for an unknown search.
@@ -117,8 +115,11 @@ def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | N
     informed = associator == CEILING
     if informed:
         spec, relocation = replace(spec, map=replace(spec.map, confirmations=1)), None
-    slam = slam_with(spec, relocation)
-    if (start := start_of(log)) is not None:
+    slam = Slam(spec)
+    if relocation is not None:
+        slam = Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
+    start = start_of(log) if in_world else None
+    if start is not None:
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)
     judged = JudgedSlam(slam, associate, informed=informed)
@@ -127,8 +128,8 @@ def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | N
         began = time.perf_counter()
         step = judged.step(odometry, scan, Truth(slam.map.pose, sources))
         seconds = time.perf_counter() - began
-        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, seconds))
-    poses, covariances, ids, created, times = zip(*steps)
+        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, slam.doubted, seconds))
+    poses, covariances, ids, created, doubted, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
@@ -142,7 +143,7 @@ def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | N
         "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
-    run = np.array(poses), np.array(covariances)
+    run = slam, sum(doubted), np.array(poses), np.array(covariances)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.record_decisions import Decided, decisions
+from agents.record_decisions import EpisodeDecisions, decisions
 
 T = TypeVar("T")
 
@@ -87,7 +87,7 @@ def clone(policy: Any, envs: Iterable[gym.Env[Any, Any]], associator: str, seed:
     return fit(list(policy.parameters()), batches, surprise, judge, epochs, _RATE, np.random.default_rng(seed))
 
 
-def _batches(decided: list[Decided], seed: int) -> list[Batch]:
+def _batches(decided: list[EpisodeDecisions], seed: int) -> list[Batch]:
     masks, actions = (np.concatenate([getattr(own, name) for own in decided]) for name in ("masks", "actions"))
     observations = {
         name: torch.as_tensor(np.concatenate([own.observations[name][:-1] for own in decided]))

@@ -17,7 +17,7 @@ from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
 from slam_gym.simulation.association_runs import DRIVERS, LOGS, AssociationRun, DrivenRun, Driver, LoggedRun, ScanLog
 from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
-from slam_gym.types import UNPAIRED, Hypothesis
+from slam_gym.types import Hypothesis
 from slam_gym.validation import check_number, one_of
 
 
@@ -143,11 +143,7 @@ class AssociateEnv(BaseEnv):
 
     def action_of(self, hypothesis: Hypothesis) -> int | None:
         """The action by which a hypothesis on the present scan decides now; None where that is not on offer."""
-        if self.walk is None:
-            return self.K
-        feature = hypothesis.features[self.walk.measurement]
-        row = UNPAIRED if feature == UNPAIRED else int(np.searchsorted(self.run.prediction.features, feature))
-        return self.walk.action_of(row)
+        return self.K if self.walk is None else self.walk.action_of(int(hypothesis.features[self.walk.measurement]))
 
     def _begin(self, world: int) -> Observation:
         self._run: AssociationRun = self._start(world)

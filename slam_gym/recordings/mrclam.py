@@ -33,7 +33,7 @@ _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
 @dataclass(frozen=True)
-class Noise:
+class MrclamNoise:
     """A noise model, which the log does not contain; it was chosen on all robots of set 6.
 
     The odometry is the commanded motion, which the robots carry out with a delay, and not fully. Variances of the
@@ -54,7 +54,7 @@ class Noise:
     bearing: float = 0.03  # [rad]
 
 
-NOISE = Noise()
+NOISE = MrclamNoise()
 
 
 def mrclam(folder: str | Path, robot: int) -> Recording:

@@ -37,7 +37,7 @@ _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
 @dataclass(frozen=True)
-class Noise:
+class VictoriaParkNoise:
     """A noise model, which the log does not contain. Variances of the motion add up with time, while it moves."""
 
     speed: float = 0.3  # [m/√s] along the path
@@ -49,7 +49,7 @@ class Noise:
     size_per_metre: float = 0.005  # [m/m] of the range, added in quadrature
 
 
-NOISE = Noise()
+NOISE = VictoriaParkNoise()
 
 
 def victoria_park(folder: str | Path) -> Recording:

@@ -12,7 +12,7 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, fitting
-from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
+from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, mark_size, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.judged import UNDECIDED, RightAnswers, decisions
@@ -86,7 +86,7 @@ def _panel(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figure
     return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(run, walk, answers), note)
 
 
-def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
+def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> TreeLevel:
     """Level `k`, branches by ascending D²_ij; at the current level, those compatible with the path are legal."""
     candidates, tree = walk.candidates, walk.tree
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
@@ -98,7 +98,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
     elif answers.right[i] in features:
         right = features.index(answers.right[i])
     chosen = int(walk.chosen[k]) if k < walk.level else None
-    return Level(
+    return TreeLevel(
         f"z{i}",
         last - first,
         legal=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
@@ -108,12 +108,12 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
     )
 
 
-def _choices(run: AssociationRun, walk: Walk, answers: RightAnswers) -> list[Choice]:
+def _choices(run: AssociationRun, walk: Walk, answers: RightAnswers) -> list[ActionRow]:
     """The possible actions: feature, D²_ij, and D²_H, with bars up to their gates."""
     gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
     ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], answers.right_action(walk)
     choices = []
     for action, (alone, joint) in enumerate(zip(walk.individual_distances, walk.joint_distances)):
         cells = (f"{ids[action]}", (f"{alone:.1f}", alone / gates[0]), (f"{joint:.1f}", joint / gates[1]))
-        choices.append(Choice(str(action), action == right, cells))
-    return [*choices, Choice("*", right == walk.K, ("nothing that is mapped",))]
+        choices.append(ActionRow(str(action), action == right, cells))
+    return [*choices, ActionRow("*", right == walk.K, ("nothing that is mapped",))]

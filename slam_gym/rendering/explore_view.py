@@ -41,7 +41,7 @@ def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
         scene,
         scan_points=transform(compose(episode.base, episode.slam.map.pose), episode.scan.points),
         decisions=episode.identities.decisions,
-        paired_positions=paired_positions(episode, scene.landmarks),
+        paired_positions=paired_positions(episode.last_step, episode.slam.map.ids, scene.landmarks),
     )
     return draw_floor(scene, episode.site.plan.bounds, episode.scenario.name, _figures(episode))
 

@@ -72,7 +72,7 @@ def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
     return top
 
 
-class Choice(NamedTuple):
+class ActionRow(NamedTuple):
     """A row of the table of actions. A cell is text, or text with the fraction (0 … 1) that its bar shows."""
 
     action: str
@@ -80,7 +80,7 @@ class Choice(NamedTuple):
     cells: tuple[str | tuple[str, float], ...]
 
 
-def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: Sequence[Choice], note: str) -> None:
+def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: Sequence[ActionRow], note: str) -> None:
     """Draw the table of actions; `columns` are offset [pixels] and heading, `note` is written below."""
     left, top, width, _ = box
     pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
@@ -124,7 +124,7 @@ def star(picture: Any, centre: Point, colour: Colour) -> None:
     picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2 + 3)))
 
 
-def _action(picture: Any, centre: Point, choice: Choice) -> None:
+def _action(picture: Any, centre: Point, choice: ActionRow) -> None:
     if choice.right:
         pygame.draw.aacircle(picture, symbols.TRUTH, centre, _BADGE + 3)
         pygame.draw.aacircle(picture, symbols.PAPER, centre, _BADGE + 1)
@@ -133,7 +133,7 @@ def _action(picture: Any, centre: Point, choice: Choice) -> None:
         star(picture, centre, symbols.PAPER)
 
 
-class Level(NamedTuple):
+class TreeLevel(NamedTuple):
     """One level of a tree. Branches are numbered from 0; `*` is `STAR`."""
 
     name: str
@@ -148,11 +148,11 @@ class TreePanel(NamedTuple):
     """The contents of a panel."""
 
     figures: Figures
-    levels: Sequence[Level]
+    levels: Sequence[TreeLevel]
     current: int  # the level to decide; the number of levels at a leaf
     key: Sequence[KeyEntry]
     columns: Sequence[tuple[int, str]] = ()  # of the table: offset [pixels] and heading
-    choices: Sequence[Choice] = ()  # its rows, `*` last
+    choices: Sequence[ActionRow] = ()  # its rows, `*` last
     note: str = ""  # below the table
     remarks: Sequence[str] = ()  # in place of a table, where there are no choices
 
@@ -184,7 +184,7 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
     draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.current)
 
 
-def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[Choice], str]:
+def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[ActionRow], str]:
     """As many choices as fit into `room` rows, including `*`, and the note."""
     room = max(min(room, _CHOICES), 2)
     left_out = len(shown.choices) - room
@@ -200,7 +200,7 @@ def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[
         picture.blit(text(line, TEXT, symbols.INK, bold=row == 0), (left, top + row * ROW))
 
 
-def draw_levels(picture: Any, box: Box, levels: Sequence[Level], current: int) -> None:
+def draw_levels(picture: Any, box: Box, levels: Sequence[TreeLevel], current: int) -> None:
     """Draw as many levels as fit, including the level `current`, which is the number of levels at a leaf."""
     left, top, width, height = box
     view = _View(box, len(levels), current)
@@ -242,11 +242,11 @@ class _View:
         return self.left + x, self.top + self.height - y
 
 
-def _branches(level: Level) -> tuple[int, ...]:
+def _branches(level: TreeLevel) -> tuple[int, ...]:
     return *range(min(level.branches, _BRANCHES)), STAR
 
 
-def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, current: int) -> None:
+def _edges(canvas: Canvas, view: _View, levels: Sequence[TreeLevel], k: int, current: int) -> None:
     """Draw the edges from the previous node to the branches of level `k`; edges of the path are broad."""
     before, level = levels[k - 1].chosen, levels[k]
     start = view.position(k - 1, STAR if before is None else before)
@@ -258,7 +258,7 @@ def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, current
             canvas.segments(np.array([[*start, *view.position(k, branch)]]), colour, 1.2)
 
 
-def _nodes(canvas: Canvas, view: _View, level: Level, k: int, current: int) -> None:
+def _nodes(canvas: Canvas, view: _View, level: TreeLevel, k: int, current: int) -> None:
     for branch in _branches(level):
         centre: Array = np.array([view.position(k, branch)])
         if branch == level.chosen:
@@ -271,7 +271,7 @@ def _nodes(canvas: Canvas, view: _View, level: Level, k: int, current: int) -> N
             canvas.discs(centre, 8.4, None, symbols.TRUTH, 1.6)
 
 
-def _labels(picture: Any, view: _View, level: Level, k: int, current: int) -> None:
+def _labels(picture: Any, view: _View, level: TreeLevel, k: int, current: int) -> None:
     """Write the name of a level, its `*`, and the number of branches that are not drawn."""
     x, y = view.pixels(k, STAR)
     name = text(level.name, TEXT, symbols.INK if k == current else symbols.MUTED, bold=k == current)

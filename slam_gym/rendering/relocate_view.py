@@ -12,7 +12,7 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
-from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
+from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
 from slam_gym.types import UNPAIRED, Array, IntArray
@@ -116,21 +116,21 @@ def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figu
     return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(walk, right), note)
 
 
-def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Level:
+def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> TreeLevel:
     """Level `k`, branches by rank: those that were on offer when it was decided, or else those that are legal now."""
     i, star = int(walk.order[k]), walk.spec.star
     if k < walk.level:
         branches, action = walk.offered[k]
         chosen = STAR if action == star else action
-        return Level(f"z{i}", branches, chosen=chosen, decision=int(codes[i]))
+        return TreeLevel(f"z{i}", branches, chosen=chosen, decision=int(codes[i]))
     alive = int(walk.node.alive[i].sum())
     if k > walk.level or walk.at_leaf:
-        return Level(f"z{i}", alive)
+        return TreeLevel(f"z{i}", alive)
     of_truth = walk.action_of(int(right[i]))
-    return Level(f"z{i}", alive, frozenset(range(len(walk.shown))), right=STAR if of_truth == star else of_truth)
+    return TreeLevel(f"z{i}", alive, frozenset(range(len(walk.shown))), right=STAR if of_truth == star else of_truth)
 
 
-def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
+def _choices(walk: RelocationWalk, right: IntArray) -> list[ActionRow]:
     """The possible actions: feature, bound on the pairings, and worst D² of its distances to paired features."""
     offer, i = walk.offer, walk.measurement
     assert offer is not None and i is not None
@@ -139,9 +139,9 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
     for action, feature in enumerate(walk.shown.tolist()):
         bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])
         cells = (str(feature), (str(bound), bound / m), (f"{worst:.1f}", worst / gate))
-        choices.append(Choice(str(action), feature == right[i], cells if k else cells[:2]))
+        choices.append(ActionRow(str(action), feature == right[i], cells if k else cells[:2]))
     bound = walk.node.bound_without(i)
-    return [*choices, Choice("*", right[i] == UNPAIRED, ("none", (str(bound), bound / m)))]
+    return [*choices, ActionRow("*", right[i] == UNPAIRED, ("none", (str(bound), bound / m)))]
 
 
 def _remarks(walk: RelocationWalk) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_gym.association.prediction import SlamStep
 from slam_gym.geometry import compose, observe, relative, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
@@ -24,7 +25,7 @@ _TRAIL = 400  # points of a trail that are drawn
 _LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
 
 
-class Grid(NamedTuple):
+class DrawnGrid(NamedTuple):
     """The explored grid."""
 
     cells: NDArray[np.uint8]  # (h, w) 0 unknown, 1 free, 2 wall; row 0 lowest
@@ -60,7 +61,7 @@ class Scene:
     path: Array = _no_rows(2)  # (p, 2) [m] that the robot is going to follow
     goals: Array = _no_rows(2)  # (g, 2) [m] that are legal
     covisibility: IntArray = _no_rows(2, dtype=np.int64)  # (e, 2) pairs of landmarks seen together
-    grid: Grid | None = None
+    grid: DrawnGrid | None = None
 
 
 def mark_size(canvas: Canvas) -> float:
@@ -118,7 +119,7 @@ def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibili
         path=transform(base, episode.path),
         goals=np.empty((0, 2)) if goals is None else transform(base, goals),
         covisibility=episode.slam.covisibility.edges().pairs if covisibility else np.empty((0, 2), np.int64),
-        grid=Grid(episode.grid.cells, corner, episode.grid.resolution),
+        grid=DrawnGrid(episode.grid.cells, corner, episode.grid.resolution),
     )
 
 
@@ -140,12 +141,12 @@ def scene_of_log(run: LoggedRun) -> Scene:
     )
 
 
-def paired_positions(episode: Episode, landmarks: Array) -> Array:
-    """(m, 2) the one of `landmarks` (n, 2) with which each measurement of the last scan was paired, NaN if none."""
-    step, ids = episode.last_step, episode.slam.map.ids
+def paired_positions(step: SlamStep, ids: IntArray, landmarks: Array) -> Array:
+    """(m, 2) the one of `landmarks` (n, 2), with `ids` (n,), with which each measurement was paired, NaN if none."""
     positions = np.full((len(step.ids), 2), np.nan)
     paired = (step.ids != NO_ID) & ~step.created & np.isin(step.ids, ids)
-    positions[paired] = landmarks[np.searchsorted(ids, step.ids[paired])]
+    by_id = np.argsort(ids)  # ids need not ascend after maps were joined
+    positions[paired] = landmarks[by_id[np.searchsorted(ids, step.ids[paired], sorter=by_id)]]
     return positions
 
 
@@ -164,7 +165,7 @@ _SYMBOL = (40, 16)  # [pixels] size of a symbol
 _Paint = Callable[[Canvas], None]  # draws on a canvas of that size with one metre per pixel
 
 
-class _Entry(NamedTuple):
+class _LegendEntry(NamedTuple):
     """An entry of the legend: words, and the symbol that they explain, drawn by the code that draws scenes."""
 
     words: str
@@ -204,27 +205,27 @@ _PAIR = _drawing(
     provisional=[False, False],
     covisibility=[[0, 1]],
 )
-_GROUPS: dict[str, tuple[_Entry, ...]] = {
+_GROUPS: dict[str, tuple[_LegendEntry, ...]] = {
     "True world": (
-        _Entry("corner, jamb, pillar", _THREE_KINDS),
-        _Entry("robot and its trail", _TRUE_ROBOT),
-        _Entry("furniture", _drawing(furniture=[[20.0, 8.0, 20.0, 10.0, 0.0]]), "furniture"),
-        _Entry("person", _drawing(people=[[20.0, 8.0, 6.0]]), "people"),
+        _LegendEntry("corner, jamb, pillar", _THREE_KINDS),
+        _LegendEntry("robot and its trail", _TRUE_ROBOT),
+        _LegendEntry("furniture", _drawing(furniture=[[20.0, 8.0, 20.0, 10.0, 0.0]]), "furniture"),
+        _LegendEntry("person", _drawing(people=[[20.0, 8.0, 6.0]]), "people"),
     ),
     "Estimate": (
-        _Entry("mapped feature, 95 %", _landmark(provisional=False)),
-        _Entry("not confirmed yet", _landmark(provisional=True)),
-        _Entry("seen together", _PAIR, "covisibility"),
-        _Entry("robot and its trail", _ESTIMATED_ROBOT),
-        _Entry("free, wall, unknown", _cells, "grid"),
-        _Entry("plan, goals on offer", _drawing(path=[[1.0, 8.0], [21.0, 8.0]], goals=[[35.0, 8.0]]), "goals"),
+        _LegendEntry("mapped feature, 95 %", _landmark(provisional=False)),
+        _LegendEntry("not confirmed yet", _landmark(provisional=True)),
+        _LegendEntry("seen together", _PAIR, "covisibility"),
+        _LegendEntry("robot and its trail", _ESTIMATED_ROBOT),
+        _LegendEntry("free, wall, unknown", _cells, "grid"),
+        _LegendEntry("plan, goals on offer", _drawing(path=[[1.0, 8.0], [21.0, 8.0]], goals=[[35.0, 8.0]]), "goals"),
     ),
     "Measurements of this tick": (
-        _Entry("paired, right", _decision(Decision.RIGHT)),
-        _Entry("paired, wrong", _decision(Decision.WRONG)),
-        _Entry("new feature", _decision(Decision.NEW)),
-        _Entry("spurious, accepted", _decision(Decision.SPURIOUS)),
-        _Entry("discarded", _decision(Decision.DISCARDED)),
+        _LegendEntry("paired, right", _decision(Decision.RIGHT)),
+        _LegendEntry("paired, wrong", _decision(Decision.WRONG)),
+        _LegendEntry("new feature", _decision(Decision.NEW)),
+        _LegendEntry("spurious, accepted", _decision(Decision.SPURIOUS)),
+        _LegendEntry("discarded", _decision(Decision.DISCARDED)),
     ),
 }
 

@@ -43,17 +43,27 @@ def random_goal(goals: Goals, rng: np.random.Generator) -> int:
 DRIVERS: dict[str, Driver] = {"nearest_frontier": nearest_frontier, "random": random_goal}
 
 
+def drive(episode: Episode, driver: Driver, rng: np.random.Generator) -> Iterator[Command]:
+    """The commands that lead to one goal of a driver after the other, until the budget is spent.
+
+    The caller must carry out each before it requests the next.
+    """
+    while not episode.over:
+        goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
+        slot = driver(goals, rng)
+        yield from commands(episode, slot, goals.positions[slot])
+
+
 class DrivenRun(Episode):
     """A robot that explores a scenario, goal by goal of a driver, with hypotheses that come from outside."""
 
     prediction: Prediction  # of the current scan
 
     def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
-        self._choices = np.random.default_rng(rng.integers(2**63))  # choices do not depend on the noise
+        choices = np.random.default_rng(rng.integers(2**63))  # they do not depend on the noise
         # the map is empty at the first scan, so there is nothing to associate
         super().__init__(scenario, site, "nearest_neighbour", rng)
-        self._driver = driver
-        self._commands: Iterator[Command] = iter(())
+        self._commands = drive(self, driver, choices)
 
     @property
     def scans(self) -> int:
@@ -67,13 +77,7 @@ class DrivenRun(Episode):
 
     def next_scan(self) -> None:
         """Drive for one tick, towards a new goal if the last one has ended, and take a scan."""
-        command = next(self._commands, None)
-        while command is None:
-            goals = propose(self.scenario, self.slam.map, self.grid, self.places, self.tried)
-            slot = self._driver(goals, self._choices)
-            self._commands = commands(self, slot, goals.positions[slot])
-            command = next(self._commands, None)
-        self.prediction = self.begin_tick(*command)
+        self.prediction = self.begin_tick(*next(self._commands))
 
     def associate(self, hypothesis: Hypothesis) -> None:
         """Complete the SLAM step with the `hypothesis` on the current scan."""

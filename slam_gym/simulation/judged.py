@@ -104,13 +104,8 @@ class RightAnswers:
     def right_action(self, walk: Walk) -> int:
         """The right action of the walk; NOT_OFFERED if it is not offered, or unknown."""
         i = walk.measurement
-        if self.sources[i] == UNLABELLED:
-            return NOT_OFFERED
-        if self.right[i] == UNPAIRED:
-            return walk.K
-        features = walk.tree.prediction.features[walk.rows]
-        rows = np.flatnonzero(features == self.right[i])
-        return int(rows[0]) if len(rows) else NOT_OFFERED
+        action = None if self.sources[i] == UNLABELLED else walk.action_of(int(self.right[i]))
+        return NOT_OFFERED if action is None else action
 
 
 def decisions(walk: Walk, answers: RightAnswers) -> IntArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -13,10 +14,10 @@ from slam_gym.geometry import compose
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
-from slam_gym.simulation.association_runs import nearest_frontier
+from slam_gym.simulation.association_runs import drive, nearest_frontier
 from slam_gym.simulation.driver import commands
 from slam_gym.simulation.episode import Episode, Site, survey
-from slam_gym.simulation.goals import LOOK, propose
+from slam_gym.simulation.goals import LOOK
 from slam_gym.slam.relocate import LocalityName, locality_of
 from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.ray_casting import Moving
@@ -70,7 +71,8 @@ def map_world(
     rng = np.random.default_rng((world_seed(split, world), 2))
     site = survey(scenario.generator(world_generator(split, world)), scenario)
     episode = Episode(replace(scenario, kidnapping=None), site, associator, rng)
-    _explore(episode)
+    for forward, turn in chain(commands(episode, LOOK, np.zeros(2)), drive(episode, nearest_frontier, episode.rng)):
+        episode.tick(forward, turn)
     elsewhere = elsewhere or scenario
     other = elsewhere.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
     return MappedWorld(
@@ -102,18 +104,6 @@ def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random
             break
     assert best is not None
     return best
-
-
-def _explore(episode: Episode) -> None:
-    def carry_out(slot: int, goal: Array) -> None:
-        for forward, turn in commands(episode, slot, goal):
-            episode.tick(forward, turn)
-
-    carry_out(LOOK, np.zeros(2))
-    while not episode.over:
-        goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
-        slot = nearest_frontier(goals, episode.rng)
-        carry_out(slot, goals.positions[slot])
 
 
 def _identities(episode: Episode) -> IntArray:

@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Grid, Packed, box_distance, outlines, sees, wall_index
+from slam_gym.world.ray_casting import Packed, WallGrid, box_distance, outlines, sees, wall_index
 from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
@@ -170,7 +170,7 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, choice: f
 @compiled
 def _straighten(packed: Packed, path: Array, radius: float, waypoints: Array) -> int:
     """Write to `waypoints` points of `path` (q, 2) between which a disc can move straight; returns their number."""
-    grid, x, y = Grid(*packed), path[0, 0], path[0, 1]
+    grid, x, y = WallGrid(*packed), path[0, 0], path[0, 1]
     waypoints[0, 0], waypoints[0, 1] = x, y
     count, here = 1, 0
     while here < len(path) - 1 and count < len(waypoints):
@@ -184,7 +184,7 @@ def _straighten(packed: Packed, path: Array, radius: float, waypoints: Array) ->
 
 
 @compiled
-def _passable(grid: Grid, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
+def _passable(grid: WallGrid, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
     """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free."""
     dx, dy = x2 - x1, y2 - y1
     length, nothing = math.hypot(dx, dy), (np.empty((0, 3)), np.empty((0, 4)))

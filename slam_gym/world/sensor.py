@@ -18,7 +18,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.validation import Checked
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NOTHING, Grid, Moving, Packed, cast, pull_back, sees
+from slam_gym.world.ray_casting import NOTHING, Moving, Packed, WallGrid, cast, pull_back, sees
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
@@ -160,7 +160,7 @@ _Measured = tuple[Array, Array, Array, Array, IntArray]
 @compiled
 def _in_sight(walls: Packed, pose: Array, features: tuple[Array, Array], moving: Moving, packed: _Values) -> _Seen:
     """The features (positions and pull-backs) and people (at their near side) that are in sight."""
-    grid, settings, (positions, pull_backs) = Grid(*walls), _Settings(*packed), features
+    grid, settings, (positions, pull_backs) = WallGrid(*walls), _Settings(*packed), features
     x, y = pose[0], pose[1]
     people = moving[0]
     k, most = 0, positions.shape[0] + people.shape[0]

@@ -11,12 +11,12 @@ import typer
 from agents.cli import command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import results_folder
-from agents.options import DRIFTING, AssociateWorld, Episodes, Execution, World
+from agents.options import DRIFTING, AssociateWorld, Episodes, Execution, ExploreWorld
 from slam_gym.__main__ import COMMANDS
 from tests.agents import typed
 
 
-def parsed(*words, group=World):
+def parsed(*words, group=ExploreWorld):
     """The group of options that a command is given."""
     found = []
 

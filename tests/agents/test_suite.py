@@ -11,7 +11,7 @@ from agents.suite import (
     MAX_DISTANCE,
     MAX_TURN,
     MIN_MAPPED,
-    Problem,
+    AssociationProblem,
     ask,
     association_record,
     evaluate,
@@ -29,7 +29,7 @@ from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation
 ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
 
 
-def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> list[Problem]:
+def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> list[AssociationProblem]:
     return list(problems(level, world, count, split))
 
 

@@ -14,7 +14,6 @@ from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.association_runs import CORRIDOR
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED
 from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
@@ -140,9 +139,7 @@ def test_classical_associators_reach_the_same_map_through_the_environment(associ
         """The answer decision by decision: a walk also says what is new."""
         answer, walk = associator(scan, prediction), Walk(scan, prediction, candidates=10, compatibility=compatibility)
         while not walk.done:
-            feature = answer.features[walk.measurement]
-            row = UNPAIRED if feature == UNPAIRED else int(np.flatnonzero(prediction.features == feature)[0])
-            walk.take(walk.action_of(row))
+            walk.take(walk.action_of(int(answer.features[walk.measurement])))
         return walk.hypothesis()
 
     hypotheses = [direct.step(odometry, scan, walked).hypothesis for odometry, scan, _ in fixed_noise(None)]

@@ -9,7 +9,16 @@ from slam_gym.geometry import compose, observe
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pixels
-from slam_gym.rendering.scene import Grid, Scene, draw_scene, legend, scene_of_episode, scene_of_log, shown_in
+from slam_gym.rendering.scene import (
+    DrawnGrid,
+    Scene,
+    draw_scene,
+    legend,
+    paired_positions,
+    scene_of_episode,
+    scene_of_log,
+    shown_in,
+)
 from tests.rollouts import associate, episode, explore, short
 
 pytest.importorskip("pygame")
@@ -77,6 +86,10 @@ def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_
     np.testing.assert_allclose(scene.goals, run.base[None, :2])
     np.testing.assert_array_equal(scene.trail.shape, scene.true_trail.shape)
     assert scene.covisibility.max() < len(scene.landmarks) == len(scene.provisional)
+    paired, ids = paired_positions(run.last_step, run.slam.map.ids, scene.landmarks), run.slam.map.ids
+    assert np.isfinite(paired).all(axis=1).sum() >= 3
+    order = np.random.default_rng(0).permutation(len(ids))  # ids need not ascend
+    np.testing.assert_array_equal(paired_positions(run.last_step, ids[order], scene.landmarks[order]), paired)
     logged = associate("corridor")
     logged.reset(seed=0)
     scene = scene_of_log(logged.run)
@@ -91,7 +104,7 @@ ALL = frozenset({"furniture", "people", "covisibility", "grid", "goals"})
 
 def test_what_is_not_in_the_scene_is_not_in_the_legend() -> None:
     assert shown_in(Scene()) == frozenset()
-    grid = Grid(np.zeros((2, 2), np.uint8), np.zeros(3), 0.2)
+    grid = DrawnGrid(np.zeros((2, 2), np.uint8), np.zeros(3), 0.2)
     scene = Scene(
         people=np.ones((1, 3)),
         furniture=np.ones((1, 5)),

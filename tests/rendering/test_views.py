@@ -7,7 +7,7 @@ from slam_gym.metrics.association import Decision
 from slam_gym.rendering import explore_view, symbols
 from slam_gym.rendering.canvas import pixels, pygame
 from slam_gym.rendering.explore_view import arrange, draw_floor
-from slam_gym.rendering.panels import PANEL, STAR, Choice, Level, TreePanel, draw_panel
+from slam_gym.rendering.panels import PANEL, STAR, ActionRow, TreeLevel, TreePanel, draw_panel
 from slam_gym.rendering.scene import Scene
 from tests.rollouts import associate, episode, explore, short
 
@@ -70,7 +70,7 @@ def drawn(levels, at, height=720, **shown) -> np.ndarray:
     surface = pygame.Surface((PANEL, height), depth=32)
     surface.fill(symbols.PAPER)
     figures = (("look", "3 of 9"), ("score", "0.5"), ("paired right", "7"))
-    shown = {"columns": ((0, "z is"), (64, "feature")), "choices": [Choice("*", False, ("none",))]} | shown
+    shown = {"columns": ((0, "z is"), (64, "feature")), "choices": [ActionRow("*", False, ("none",))]} | shown
     draw_panel(surface, (0, 0, PANEL, height), TreePanel(figures, levels, at, KEY, **shown))
     return pixels(surface)
 
@@ -80,9 +80,12 @@ def has(picture, colour) -> bool:
 
 
 def test_the_path_the_offer_and_the_truth_show() -> None:
-    path = [Level("z0", 2, chosen=0, decision=Decision.WRONG), Level("z1", 0, chosen=STAR, decision=Decision.WRONG)]
-    here = Level("z2", 12, legal=frozenset({0, 1}), right=1)
-    picture = drawn([*path, here, Level("z3", 1)], 2)
+    path = [
+        TreeLevel("z0", 2, chosen=0, decision=Decision.WRONG),
+        TreeLevel("z1", 0, chosen=STAR, decision=Decision.WRONG),
+    ]
+    here = TreeLevel("z2", 12, legal=frozenset({0, 1}), right=1)
+    picture = drawn([*path, here, TreeLevel("z3", 1)], 2)
     assert has(picture, WRONG) and has(picture, symbols.PLAN) and has(picture, symbols.TRUTH)
     assert has(picture, symbols.BAND)
     leaf = drawn(path, 2, remarks=("A leaf of 1 pairing", "D² = 3"))
@@ -92,8 +95,8 @@ def test_the_path_the_offer_and_the_truth_show() -> None:
 @pytest.mark.parametrize("levels", [0, 1, 3, 60])
 @pytest.mark.parametrize("height", [480, 720])
 def test_any_number_of_levels_and_choices_fits(levels, height) -> None:
-    tree = [Level(f"z{k}", k % 12, right=0) for k in range(levels)]
-    choices = [Choice(str(k), k == 3, (str(k),)) for k in range(200)] + [Choice("*", False, ("none",))]
+    tree = [TreeLevel(f"z{k}", k % 12, right=0) for k in range(levels)]
+    choices = [ActionRow(str(k), k == 3, (str(k),)) for k in range(200)] + [ActionRow("*", False, ("none",))]
     for at in {0, levels // 2, levels}:
         picture = drawn(tree, at, height, choices=choices)
         assert picture.shape == (height, PANEL, 3)

@@ -32,7 +32,7 @@ _LOCATING = 30  # nodes that a location counts as: it takes as long as testing t
 Integers32 = NDArray[np.int32]
 
 
-class Grid(NamedTuple):
+class FeatureCells(NamedTuple):
     """Features grouped by square cells."""
 
     starts: IntArray  # (rows · columns + 1,) the features of cell c are members[starts[c]:starts[c + 1]]
@@ -55,7 +55,7 @@ class TriangleHash(NamedTuple):
     starts: IntArray  # (cells + 1,) the triangles of cell c are starts[c] … starts[c + 1] − 1
     corners: Integers32  # (t, 3) A, B, C counterclockwise, AB the longest side
     sides: NDArray[np.float32]  # (t, 4) [m] AB, BC, CA, and the largest variance [m²] of the three
-    grid: Grid
+    grid: FeatureCells
     raster: Raster
     reach: float  # [m] longest side of the triangles
     quantum: float  # [m] width of a hash cell in each side

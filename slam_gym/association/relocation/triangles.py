@@ -25,7 +25,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import Mapped, difference_covariances, map_arrays
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.relocation.problem import answer_of, nothing_found, problem_of
-from slam_gym.association.relocation.triangle_search import FAR, Grid, Raster, TriangleHash, cell_number, search
+from slam_gym.association.relocation.triangle_search import FAR, FeatureCells, Raster, TriangleHash, cell_number, search
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count
 
@@ -228,14 +228,16 @@ def _coarse_enough(positions: Array, side: float, most: int) -> tuple[float, Arr
     return side, low, high
 
 
-def _grid_of(positions: Array, side: float) -> Grid:
+def _grid_of(positions: Array, side: float) -> FeatureCells:
     """The grid of cells of `side` [m], enlarged where these would be too many for so few features."""
     side, low, high = _coarse_enough(positions, side, 8)
     columns, rows = (math.floor(extent / side) + 1 for extent in (high - low).tolist())
     cells = np.floor((positions - low) / side).astype(np.int64)
     numbers = cells[:, 1] * columns + cells[:, 0]
     starts = np.concatenate(([0], np.cumsum(np.bincount(numbers, minlength=rows * columns))))
-    return Grid(starts, np.argsort(numbers, kind="stable"), (rows, columns), (float(low[0]), float(low[1]), side))
+    return FeatureCells(
+        starts, np.argsort(numbers, kind="stable"), (rows, columns), (float(low[0]), float(low[1]), side)
+    )
 
 
 def _raster_of(positions: Array, widest: Array, side: float) -> Raster:

@@ -97,12 +97,12 @@ class Walk:
         """(m,) row of the prediction paired with each measurement; UNPAIRED for `*` and for what is undecided."""
         return decided(self.tree, self.node)
 
-    def action_of(self, row: int) -> int | None:
-        """The action that pairs the current measurement with `row` of the prediction (UNPAIRED: `*`); None if there is
-        no such on offer."""
-        if row == UNPAIRED:
+    def action_of(self, feature: int) -> int | None:
+        """The action that pairs the current measurement with `feature` of the map (UNPAIRED: `*`); None if there is no
+        such on offer."""
+        if feature == UNPAIRED:
             return self.K
-        found = np.flatnonzero(self.rows == row)
+        found = np.flatnonzero(self.tree.prediction.features[self.rows] == feature)
         return int(found[0]) if len(found) else None
 
     def observation(self) -> Observation:
