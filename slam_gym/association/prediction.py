@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import CovisibilityGraph, among
+from slam_gym.mapping.covisibility import Counts, CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
 from slam_gym.mapping.measurement import RowArrays, foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
@@ -27,10 +27,10 @@ from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
 from slam_gym.types._fields import Entry, floats, kinds_of, sizes_of
 
-SourceArrays = tuple[Array, Array, Array, IntArray, IntArray, SightArrays, Array]
+SourceArrays = tuple[Array, Array, Array, Counts, SightArrays, Array]
 """The arrays for further queries: predicted pose and variance of its heading (4,); state x and covariance P (upper
-triangle) of the map; neighbours and degrees of its covisibility graph, empty where all features are local to each
-other; field of view and explored space; a fixed visibility (k,), or (0,)."""
+triangle) of the map; counts of its covisibility graph, empty where all features are local to each other; field of view
+and explored space; a fixed visibility (k,), or (0,)."""
 
 Sizes = tuple[int, int, bool, bool]
 """Number k of rows of the prediction; number n of features of the map; whether joint covariances are of second order;
@@ -41,7 +41,7 @@ PredictionArrays = tuple[RowArrays, SourceArrays, Sizes]
 
 _NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
 _NOTHING = np.empty(0)
-_NO_NEIGHBOURS, _NO_FEATURES = np.empty((0, 0), np.int64), np.empty(0, np.int64)
+_ALL_LOCAL, _NO_FEATURES = np.empty((0, 0), np.int32), np.empty(0, np.int64)
 _STILL, _CERTAIN, _NOT_MEASURED = np.empty(0), np.zeros((3, 3)), (np.empty((0, 2)), np.empty((0, 2, 2)))
 _FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `RowArrays`
 
@@ -62,8 +62,7 @@ class Expected(NamedTuple):
     pose: Array  # (4,) predicted pose and variance of its heading; this and the rest as in `SourceArrays`
     state: Array
     covariance: Array
-    neighbours: IntArray
-    degrees: IntArray
+    counts: Counts
     sight: SightArrays
     visible: Array
     n: int
@@ -75,12 +74,11 @@ class Expected(NamedTuple):
 def expected_of(rows: RowArrays, source: SourceArrays, sizes: Sizes) -> Expected:
     """A prediction's plain tuples as named fields."""
     (counted, sized, near, positions, covariances, across), (k, n, second_order, view_moves) = rows, sizes
-    pose, state, covariance, neighbours, degrees, sight, visible = source
+    pose, state, covariance, counts, sight, visible = source
     return Expected(
         counted[_FEATURES, :k], counted[_KINDS, :k], counted[_AGES, :k], counted[_SIGHTINGS, :k],
         sized[ekf.SIZES, :k], sized[ekf.VARIANCES, :k], near[:k], positions[:k], covariances[:k], across[:k],
-        pose, state, covariance, neighbours, degrees, sight, visible, n, second_order,
-        view_moves,
+        pose, state, covariance, counts, sight, visible, n, second_order, view_moves,
     )  # fmt: skip
 
 
@@ -200,7 +198,7 @@ class Prediction:
     @property
     def has_view(self) -> bool:
         """Whether the probability that features are in view is known."""
-        return bool(self.source[5][0][2] > 0.0 or len(self.source[6]))
+        return bool(self.source[4][0][2] > 0.0 or len(self.source[5]))
 
     def __len__(self) -> int:
         return self.size[0]
@@ -227,8 +225,7 @@ class Prediction:
         self.check()
         if not self.has_localities:
             return np.ones((len(rows), len(rows)), np.bool_)
-        _, _, _, neighbours, degrees, *_ = self.source
-        return among(neighbours, degrees, self.size[1], self.features[rows])
+        return among(self.source[3], self.features[rows])
 
     def visibility(self) -> Array | None:
         """(k,) probability that each feature is in view of the sensor, walls considered; None where unknown."""
@@ -248,7 +245,7 @@ class Prediction:
         visible = _NOTHING if visibility is None else floats("visibility", visibility, (len(self),))
         if not ((visible >= 0.0) & (visible <= 1.0)).all():
             raise ValueError(f"visibility: expected probabilities, got {visible.tolist()}")
-        return replace(self, source=(*self.source[:5], _NO_SENSOR, visible))
+        return replace(self, source=(*self.source[:4], _NO_SENSOR, visible))
 
     @classmethod
     def from_gaussian(
@@ -275,7 +272,7 @@ class Prediction:
         blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
         counted = np.stack([np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)])
         rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), means, blocks, np.zeros((k, 2))
-        source = np.zeros(4), x, padded_P, _NO_NEIGHBOURS, _NO_FEATURES, _NO_SENSOR, _NOTHING
+        source = np.zeros(4), x, padded_P, _ALL_LOCAL, _NO_SENSOR, _NOTHING
         return cls(rows, source, (k, k, False, False), confidence)
 
 
@@ -319,7 +316,7 @@ def predict(
     odometry: Odometry | None = None,
     scan: Scan | None = None,
     graph: CovisibilityGraph | None = None,
-    recent: IntArray = _NO_FEATURES,
+    since: int = 1 << 62,
     accidental: tuple[float, float] = (0.0, math.inf),
     sight: ViewsFrom | None = None,
     view_moves: bool = True,
@@ -330,7 +327,8 @@ def predict(
     Arguments:
         scan: checked before the robot moves.
         graph: covisibility graph that defines the localities; None: all features are local to each other.
-        recent: (r,) features paired in recent scans, or UNPAIRED; they and the features local to them are near.
+        since: step from which a scan is recent: features updated or started since then, and features local to them, are
+            near.
         accidental: χ² gate of a pairing; and the number of accidental matches expected in the gate of a feature that is
             not near above which it is left out.
         sight: computes what the sensor has in view from a pose.
@@ -343,13 +341,13 @@ def predict(
     """
     motion = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
     measured = _NOT_MEASURED if scan is None else (scan.points, scan.covariances)
-    neighbours, degrees = (_NO_NEIGHBOURS, _NO_FEATURES) if graph is None else graph.arrays[::2]
+    counts = _ALL_LOCAL if graph is None else graph.counts
     spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)
-    k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (neighbours, degrees, recent), pose, rows)
+    k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (counts, since), pose, rows)
     if odometry is not None:
         m.moved()
     (x, P, _, _), size = m.arrays, (k, m.n, spec.second_order, view_moves)
-    source = pose, x, P, neighbours, degrees, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
+    source = pose, x, P, counts, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
     return Prediction(rows, source, size, spec.confidence, spec.confirmations, experience, m.estimate)
 
 

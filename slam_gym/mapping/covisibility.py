@@ -6,14 +6,20 @@ to each other on two sides of a wall are never seen together (Neira, Tardós and
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
-_ROOM, _WIDTH = 64, 16  # initial capacity: nodes, and neighbours of each
+Counts = NDArray[np.int32]
+"""(≥ n, ≥ n) number of scans that saw both of two features, symmetric, 0 on the diagonal and beyond n; (0, 0): all
+features are local to each other."""
+
+_ROOM = 64  # initial capacity
 
 
 class Edges(NamedTuple):
@@ -26,20 +32,13 @@ class Edges(NamedTuple):
 class CovisibilityGraph:
     """Undirected graph over the features 0 … n−1 of a map, with a count on each edge.
 
-    Row j of the adjacency holds the neighbours of j in ascending order, so memory is nodes × largest degree. Features
-    are indices as in the map; `add` and `keep` are called where the map adds and removes features.
+    The counts are a matrix, which takes an eighth of the memory of the map's covariance. Features are indices as in the
+    map; `add` and `keep` are called where the map adds and removes features.
     """
 
     def __init__(self) -> None:
         self.n = 0
-        self._neighbours = np.zeros((_ROOM, _WIDTH), np.int64)
-        self._counts = np.zeros((_ROOM, _WIDTH), np.int64)
-        self._degrees = np.zeros(_ROOM, np.int64)
-
-    @property
-    def arrays(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Neighbours and counts (≥ n, width) and degrees (≥ n,) for compiled functions, without copying."""
-        return self._neighbours, self._counts, self._degrees
+        self.counts: Counts = np.zeros((_ROOM, _ROOM), np.int32)  # as compiled functions take them
 
     def learned(self, created: int) -> None:
         """Register that a compiled step has added `created` nodes to the arrays, or removed −`created`."""
@@ -47,27 +46,19 @@ class CovisibilityGraph:
 
     def make_room(self, more: int) -> None:
         """Make room for `more` nodes, by doubling the capacity."""
-        room = len(self._degrees)
+        room = len(self.counts)
         while self.n + more > room:
             room *= 2
-        if room > len(self._degrees):
-            rows = room - len(self._degrees)
-            self._degrees = np.pad(self._degrees, (0, rows))
-            self._neighbours = np.pad(self._neighbours, ((0, rows), (0, 0)))
-            self._counts = np.pad(self._counts, ((0, rows), (0, 0)))
-
-    def widen(self, needed: int) -> None:
-        """Make room for at least `needed` neighbours of each node."""
-        columns = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
-        self._neighbours = np.pad(self._neighbours, ((0, 0), (0, columns)))
-        self._counts = np.pad(self._counts, ((0, 0), (0, columns)))
+        if room > len(self.counts):
+            counts = np.zeros((room, room), np.int32)  # memory that is never touched is never allocated
+            counts[: self.n, : self.n] = self.counts[: self.n, : self.n]
+            self.counts = counts
 
     def add(self, count: int) -> None:
         """Append `count` nodes without edges."""
         if count < 0:
             raise ValueError(f"count: {count} is negative")
         self.make_room(count)
-        self._degrees[self.n : self.n + count] = 0
         self.n += count
 
     def see_together(self, features: IntArray) -> None:
@@ -75,11 +66,7 @@ class CovisibilityGraph:
 
         Raises ValueError where a feature is not in the graph.
         """
-        features = self._existing(features, UNPAIRED)
-        needed = count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
-        if needed > self._neighbours.shape[1]:
-            self.widen(needed)
-            count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
+        count_pairs(self.counts, self._existing(features, UNPAIRED))
 
     def keep(self, kept: IntArray) -> None:
         """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
@@ -89,28 +76,25 @@ class CovisibilityGraph:
         kept = np.ascontiguousarray(kept, dtype=np.int64)
         if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or (np.diff(kept) <= 0).any()):
             raise ValueError("kept: not the ascending indices of nodes in the graph")
-        keep_nodes(self._neighbours, self._counts, self._degrees, self.n, kept)
+        keep_nodes(self.counts, self.n, kept)
         self.n = len(kept)
 
     def followed_by(self, other: CovisibilityGraph) -> CovisibilityGraph:
         """The graph of the nodes of this graph, then those of `other`, with the edges of both."""
-        ours, theirs = self.edges(), other.edges()
-        pairs = np.concatenate([ours.pairs, theirs.pairs + self.n])
-        return graph_of(self.n + other.n, Edges(pairs, np.concatenate([ours.counts, theirs.counts])))
+        graph = copy.deepcopy(self)
+        graph.add(other.n)
+        graph.counts[self.n : graph.n, self.n : graph.n] = other.counts[: other.n, : other.n]
+        return graph
 
     def fused(self, kept: IntArray, dropped: IntArray) -> CovisibilityGraph:
         """A graph in which node kept[i] takes over the edges of dropped[i], (k,), which are removed.
 
         The counts of edges to a common neighbour add up; edges between kept[i] and dropped[i] are dropped.
         """
-        became = np.arange(self.n)
-        became[dropped] = kept
-        edges = self.edges()
-        pairs = np.sort(became[edges.pairs], axis=1)
-        are_distinct = pairs[:, 0] != pairs[:, 1]
-        pairs, edge_of = np.unique(pairs[are_distinct], axis=0, return_inverse=True)
-        counts = np.bincount(edge_of.ravel(), weights=edges.counts[are_distinct], minlength=len(pairs)).astype(np.int64)
-        graph = graph_of(self.n, Edges(pairs, counts))
+        graph = copy.deepcopy(self)
+        np.add.at(graph.counts, kept, graph.counts[dropped])
+        np.add.at(graph.counts.T, kept, graph.counts.T[dropped])
+        np.fill_diagonal(graph.counts, 0)
         graph.keep(np.delete(np.arange(self.n), dropped))
         return graph
 
@@ -118,26 +102,24 @@ class CovisibilityGraph:
         """The number of scans that saw both features. Raises IndexError where one is not in the graph."""
         if not (0 <= i < self.n and 0 <= j < self.n):
             raise IndexError(f"features {i} and {j} in a graph of {self.n}")
-        neighbours = self._neighbours[i, : self._degrees[i]]
-        at = int(np.searchsorted(neighbours, j))
-        return int(self._counts[i, at]) if at < len(neighbours) and neighbours[at] == j else 0
+        return int(self.counts[i, j])
 
     def neighbours(self, i: int) -> IntArray:
         """Features seen together with i, ascending. Raises IndexError like `count`."""
         if not 0 <= i < self.n:
             raise IndexError(f"feature {i} in a graph of {self.n}")
-        return self._neighbours[i, : self._degrees[i]].copy()
+        return np.flatnonzero(self.counts[i])
 
     def local_to(self, features: IntArray) -> BoolArray:
         """(n,) whether each node is one of `features` or a neighbour of one. Raises ValueError as `see_together`."""
-        return mark_local(self._neighbours, self._degrees, self.n, self._existing(features, UNPAIRED))
+        return mark_local(self.counts, self.n, self._existing(features, UNPAIRED))
 
     def among(self, features: IntArray) -> BoolArray:
         """(j, j) whether each two of `features` (j,) are neighbours or the same; symmetric.
 
         Raises ValueError where a feature is not in the graph.
         """
-        return among(self._neighbours, self._degrees, self.n, self._existing(features, 0))
+        return among(self.counts, self._existing(features, 0))
 
     def _existing(self, features: IntArray, lowest: int) -> IntArray:
         features = np.ascontiguousarray(features, dtype=np.int64)
@@ -147,11 +129,8 @@ class CovisibilityGraph:
 
     def edges(self) -> Edges:
         """All edges, in ascending order."""
-        filled = np.arange(self._neighbours.shape[1]) < self._degrees[: self.n, None]
-        start = np.repeat(np.arange(self.n), self._degrees[: self.n])
-        end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
-        is_ascending = start < end
-        return Edges(np.column_stack([start[is_ascending], end[is_ascending]]), counts[is_ascending])
+        pairs = np.argwhere(np.triu(self.counts[: self.n, : self.n]))
+        return Edges(pairs, self.counts[pairs[:, 0], pairs[:, 1]].astype(np.int64))
 
 
 def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
@@ -161,111 +140,51 @@ def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
         raise ValueError(f"edges: not all of them join two different nodes of {n}")
     graph = CovisibilityGraph()
     graph.add(n)
-    ends, others = np.concatenate([pairs, pairs[:, ::-1]]).T
-    order = np.lexsort((others, ends))
-    degrees = np.bincount(ends, minlength=n)
-    at = np.arange(len(order)) - np.repeat(np.cumsum(degrees) - degrees, degrees)
-    width = max(int(degrees.max(initial=0)), _WIDTH)
-    graph._neighbours, graph._counts = (np.zeros((len(graph._degrees), width), np.int64) for _ in range(2))
-    graph._neighbours[ends[order], at] = others[order]
-    graph._counts[ends[order], at] = np.concatenate([edges.counts, edges.counts])[order]
-    graph._degrees[:n] = degrees
+    i, j = pairs.T
+    graph.counts[i, j] = graph.counts[j, i] = edges.counts
     return graph
 
 
 @compiled
-def count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
-    """Count each pair of `features`; returns the row width needed. If the rows are narrower, nothing is counted."""
-    seen, k, needed = np.empty(len(features), np.int64), 0, 0
-    for f in features:
-        at = k
-        while at > 0 and seen[at - 1] > f:  # insertion sort, dropping UNPAIRED and repetitions
-            at -= 1
-        if f == UNPAIRED or (at > 0 and seen[at - 1] == f):
-            continue
-        for later in range(k, at, -1):
-            seen[later] = seen[later - 1]
-        seen[at] = f
-        k += 1
-    for i in range(k):
-        needed = max(needed, degrees[seen[i]] + k - 1)
-    if needed > neighbours.shape[1]:
-        return needed
-    for i in range(k):
-        f = seen[i]
-        degrees[f] = _merge(neighbours[f], counts[f], degrees[f], f, seen[:k])
-    return needed
+def count_pairs(counts: Counts, features: IntArray) -> None:
+    """`CovisibilityGraph.see_together`."""
+    seen = np.unique(features[features != UNPAIRED])
+    for i in seen:
+        for j in seen:
+            counts[i, j] += i != j
 
 
 @compiled
-def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: IntArray) -> int:
-    """Count `seen` (ascending), except f, in the ascending row of f; returns the new degree of f."""
-    added, at = 0, 0
-    for g in seen:
-        while at < degree and neighbours[at] < g:
-            at += 1
-        if at < degree and neighbours[at] == g:
-            counts[at] += 1
-        elif g != f:
-            added += 1
-    # insert new neighbours from the right, so that nothing is overwritten before it has moved
-    read, write, s = degree - 1, degree + added - 1, len(seen) - 1
-    while write > read:
-        if seen[s] == f or (read >= 0 and neighbours[read] == seen[s]):
-            s -= 1
-        elif read >= 0 and neighbours[read] > seen[s]:
-            neighbours[write], counts[write] = neighbours[read], counts[read]
-            read, write = read - 1, write - 1
-        else:
-            neighbours[write], counts[write] = seen[s], 1
-            s, write = s - 1, write - 1
-    return degree + added
-
-
-@compiled
-def keep_nodes(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
+def keep_nodes(counts: Counts, n: int, kept: IntArray) -> None:
     """`CovisibilityGraph.keep`, in place."""
-    renumbered = np.full(n, UNPAIRED)
+    first = 0  # everything before the first gap stays where it is
+    while first < len(kept) and kept[first] == first:
+        first += 1
     for i in range(len(kept)):
-        renumbered[kept[i]] = i
-    for i in range(len(kept)):
-        old, degree = kept[i], 0
-        for at in range(degrees[old]):
-            new = renumbered[neighbours[old, at]]
-            if new >= 0:
-                neighbours[i, degree], counts[i, degree] = new, counts[old, at]
-                degree += 1
-        degrees[i] = degree
+        for j in range(first if i < first else 0, len(kept)):
+            counts[i, j] = counts[kept[i], kept[j]]
+    counts[len(kept) : n, :n] = 0
+    counts[: len(kept), len(kept) : n] = 0
 
 
 @compiled
-def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
-    """`CovisibilityGraph.local_to`; if the graph's arrays are empty, all n features are local."""
-    local = np.full(n, len(neighbours) == 0)
-    if len(neighbours) == 0:
-        return local
+def mark_local(counts: Counts, n: int, features: IntArray) -> BoolArray:
+    """`CovisibilityGraph.local_to`; without counts, (0, 0), all n features are local."""
+    local, seen = np.full(n, len(counts) == 0), np.full(n, len(counts) == 0)
     for f in features:
-        if f >= 0:
+        if f >= 0 and not seen[f]:
+            seen[f], row = True, counts[f]
+            for j in range(n):
+                local[j] |= row[j] > 0
             local[f] = True
-            for at in range(degrees[f]):
-                local[neighbours[f, at]] = True
     return local
 
 
 @compiled
-def among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+def among(counts: Counts, features: IntArray) -> BoolArray:
     """`CovisibilityGraph.among`."""
-    m = len(features)
-    out = np.zeros((m, m), np.bool_)
-    local = np.zeros(n, np.bool_)
-    for i in range(m):
-        f = features[i]
-        local[f] = True
-        for at in range(degrees[f]):
-            local[neighbours[f, at]] = True
-        for j in range(m):
-            out[i, j] = local[features[j]]
-        local[f] = False
-        for at in range(degrees[f]):
-            local[neighbours[f, at]] = False
+    out = np.empty((len(features), len(features)), np.bool_)
+    for i in range(len(features)):
+        for j in range(len(features)):
+            out[i, j] = features[i] == features[j] or counts[features[i], features[j]] > 0
     return out

@@ -26,7 +26,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import mark_local
+from slam_gym.mapping.covisibility import Counts, mark_local
 from slam_gym.mapping.ekf import MapArrays, turned
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 from slam_gym.validation import check_measurements
@@ -35,9 +35,8 @@ RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
 covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are filled in."""
 
-LocalityArrays = tuple[IntArray, IntArray, IntArray]
-"""Neighbours and degrees of the covisibility graph, empty where all features are near; (r,) features that recent scans
-paired, or UNPAIRED."""
+LocalityArrays = tuple[Counts, int]
+"""Counts of the covisibility graph, empty where all features are near; the step from which a scan is recent."""
 
 Rule = tuple[float, bool, float, float]
 """Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
@@ -92,13 +91,14 @@ def foresee(
     Returns the number of rows k. Raises ValueError, before the robot moves, as `check_scan` and `ekf.predict`.
     """
     (x, P, counted, sized), (n, step), (motion, Q) = arrays, counts, odometry
-    (reach, second_order, gate, most), (neighbours, degrees, recent), k = rule, locality, 0
+    (reach, second_order, gate, most), (seen_together, since), k = rule, locality, 0
     check_measurements(scan[0], scan[1])
     if len(motion) > 0:
         ekf.predict(x, P, 3 + 2 * n, motion, Q)
     pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
     known, sizes, near, positions, covariances, across = out
-    local, c, s = mark_local(neighbours, degrees, n, recent), math.cos(x[2]), math.sin(x[2])
+    recent = np.flatnonzero(counted[ekf.LAST_SEEN, :n] >= since)
+    local, c, s = mark_local(seen_together, n, recent), math.cos(x[2]), math.sin(x[2])
     for j in range(n):
         f = 3 + 2 * j
         dx, dy = x[f] - x[0], x[f + 1] - x[1]

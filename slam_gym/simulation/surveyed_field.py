@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from slam_gym.geometry import observe
-from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, same_local_map, within
+from slam_gym.mapping.locality import linked, same_local_map, within
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import one_of
 
@@ -48,8 +47,8 @@ class SurveyedField:
     features: Array  # (n, 2) [m] true, in W = B
     landmarks: Landmarks
     path: Array  # (k, 3) [m, m, rad] poses of the mapping pass
-    in_scan: CovisibilityGraph  # seen in one scan
-    in_map: CovisibilityGraph  # seen during one local map; each map has its own copies of features
+    in_scan: IntArray  # (e, 2) pairs seen in one scan
+    in_map: IntArray  # (e, 2) pairs seen during one local map; each map has its own copies of features
     map_of: IntArray  # (n,) local map in which each feature was first seen
 
     def locality(self, name: str) -> Locality | None:
@@ -79,10 +78,10 @@ class SurveyedField:
 
 
 LOCALITIES: dict[str, Callable[[SurveyedField], Locality | None]] = {
-    "covisibility": lambda field: covisible(field.in_scan),
-    "two hops": lambda field: covisible(field.in_scan, hops=2),
+    "covisibility": lambda field: linked(len(field.features), field.in_scan),
+    "two hops": lambda field: linked(len(field.features), field.in_scan, hops=2),
     "within 2r": lambda field: within(field.landmarks.positions, 2.0 * REACH),
-    "local maps": lambda field: covisible(field.in_map),
+    "local maps": lambda field: linked(len(field.features), field.in_map),
     "joined maps": lambda field: same_local_map(field.map_of),
     "everything": lambda field: None,
 }
@@ -101,19 +100,23 @@ def surveyed_field(n: int, rng: np.random.Generator) -> SurveyedField:
     order = np.argsort(first, kind="stable")
     number = np.argsort(order)
     features, first = features[order], first[order]
-    in_scan, in_map = CovisibilityGraph(), CovisibilityGraph()
-    in_scan.add(n)
-    in_map.add(n)
+    in_map: list[IntArray] = []
     map_number, members = np.zeros(len(poses), np.int64), np.empty(0, np.int64)
     for k, rows in enumerate(seen):
-        in_scan.see_together(np.sort(number[rows]))
         members = np.union1d(members, number[rows])
         map_number[k + 1 :] += len(members) >= LOCAL_MAP
         if len(members) >= LOCAL_MAP or k == len(seen) - 1:
-            in_map.see_together(members)
+            in_map.append(members)
             members = np.empty(0, np.int64)
     landmarks = _drifted_map(features, poses, arcs, first, rng)
-    return SurveyedField(side, features, landmarks, poses, in_scan, in_map, map_number[first])
+    in_scan = _pairs_within(number[rows] for rows in seen)
+    return SurveyedField(side, features, landmarks, poses, in_scan, _pairs_within(in_map), map_number[first])
+
+
+def _pairs_within(groups: Iterable[IntArray]) -> IntArray:
+    """(e, 2) all pairs i < j of two members of one group."""
+    pairs = [np.sort(group)[np.column_stack(np.triu_indices(len(group), 1))] for group in groups]
+    return np.unique(np.concatenate(pairs), axis=0)
 
 
 def _lawn_mower_pass(side: float) -> tuple[Array, Array]:

@@ -44,8 +44,7 @@ Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
 and returns pairs (k, 2) of rows."""
 
 _INDIVIDUAL = 0.9999  # confidence: one error moves all pairs, so that the joint gate is the one that discriminates
-_SEARCHES = 64  # by JCBB; then the best pairs so far are returned
-_NODE_LIMIT = 20_000  # nodes of each search
+_NODE_LIMIT = 20_000  # nodes of the search; then the best pairs so far are returned
 
 
 class LocalMapSlam:
@@ -283,45 +282,21 @@ def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> In
     size and kind, and are jointly compatible in every prefix at the confidence of the map. The hypothesis "newer
     feature i is older feature j" has the innovation ν_ij = F_i − F_j, and ν_ij and ν_kl have the covariance
     P_ik − P_il − P_jk + P_jl, which contains all correlations of the two maps. So this interpretation tree has a slot
-    for each pairing, where that of a scan has one for each feature. Over such slots JCBB does not enforce one-to-one
-    pairings: where it pairs an older feature twice, it searches again without either pairing, and the better set wins.
+    for each pairing, where that of a scan has one for each feature.
     """
     D = m.distances_between(newer, older, chi2_gate(2, _INDIVIDUAL))
     D[~attributes_agree(m, older, newer)] = np.inf
     rows, columns = np.nonzero(np.isfinite(D))
     rows, columns = np.array([rows, columns])[:, np.lexsort((D[rows, columns], rows))]
-    pairs, distances = np.column_stack([older[columns], newer[rows]]), D[rows, columns]
-    best, best_distance, searches, remaining = np.empty(0, np.int64), 0.0, 0, [np.arange(len(pairs))]
-    while remaining and searches < _SEARCHES:
-        allowed, searches = remaining.pop(), searches + 1
-        chosen, distance = _jcbb(m, pairs[allowed])
-        chosen = allowed[chosen]
-        if (len(chosen), -distance) <= (len(best), -best_distance):
-            continue
-        rivals = _with_one_older_feature(pairs[chosen], distances[chosen])
-        if not len(rivals):
-            best, best_distance = chosen, distance
-        remaining += [allowed[allowed != chosen[rival]] for rival in rivals]
-    return pairs[best]
-
-
-def _with_one_older_feature(pairs: IntArray, distances: Array) -> IntArray:
-    """Two of the pairs (k, 2) that share an older feature, the pair of smaller D² first; empty if none share one."""
-    features, times = np.unique(pairs[:, 0], return_counts=True)
-    if not (times > 1).any():
-        return np.empty(0, np.int64)
-    rivals = np.flatnonzero(pairs[:, 0] == features[times.argmax()])[:2]
-    return rivals[np.argsort(distances[rivals], kind="stable")]
-
-
-def _jcbb(m: StochasticMap, pairs: IntArray) -> tuple[IntArray, float]:
-    """The rows of the pairs (c, 2), sorted by newer feature, that JCBB selects, and their joint D²."""
+    pairs = np.column_stack([older[columns], newer[rows]])
     if not len(pairs):
-        return np.empty(0, np.int64), 0.0
-    slots, (older, newer) = np.arange(len(pairs)), m.positions[pairs.T]
-    _, level = np.unique(pairs[:, 1], return_inverse=True)
-    noise, all_local = np.zeros((level.max() + 1, 2, 2)), np.empty((0, 0), np.bool_)
-    pairings = Pairings(slots, level, newer - older, noise, difference_covariance(m, pairs), all_local, 0)
-    rows = np.full(len(noise), UNPAIRED)
-    best = branch_and_bound(pairings, slots, joint_gates(len(rows), m.spec.confidence), _NODE_LIMIT, rows)
-    return rows[rows != UNPAIRED], best.distance
+        return pairs
+    slots, (of_older, of_newer), (numbers, level) = (
+        np.arange(len(pairs)), m.positions[pairs.T], np.unique(pairs[:, 1], return_inverse=True),
+    )  # fmt: skip
+    noise, all_local = np.zeros((len(numbers), 2, 2)), np.empty((0, 0), np.bool_)
+    pairings = Pairings(slots, level, of_newer - of_older, noise, difference_covariance(m, pairs), all_local, 0)
+    found, gates = np.full(len(numbers), UNPAIRED), joint_gates(len(numbers), m.spec.confidence)
+    branch_and_bound(pairings, pairs[:, 0].copy(), gates, _NODE_LIMIT, found)
+    common: IntArray = np.column_stack([found, numbers])[found != UNPAIRED]
+    return common

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from slam_gym.slam.missed_loops import MissedLoops
 from slam_gym.slam.places.fusion import MappedArea
 from slam_gym.slam.places.loops import NO_PAIRS
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.slam.step import Settings, forget, learn
+from slam_gym.slam.step import Settings, learn
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -102,7 +103,7 @@ class Slam:
         self.covisibility = CovisibilityGraph()
         self._missed_loops = MissedLoops()
         self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
-        self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, cyclic
+        self._learned_at: deque[int] = deque(maxlen=self.spec.recent)  # steps of the last scans learned from
         self._learned = 0  # [scans] learned from so far
         self._farthest = 0.0  # [m] distance of the farthest measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
@@ -171,16 +172,12 @@ class Slam:
         m, graph, count = self.map, self.covisibility, len(scan.points)
         m.make_room(count)
         graph.make_room(count)
-        is_decided, recent, ids = hypothesis.new is not None, self._row_for(count), np.empty(count, np.int64)
+        is_decided, ids = hypothesis.new is not None, np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
-        while True:
-            added, due, width = learn(
-                m.arrays, m.numbers, graph.arrays, recent, scan.arrays, decisions, expected, self._settings()
-            )
-            if width == 0:
-                break
-            graph.widen(width)
+        added, removed, became = learn(
+            m.arrays, m.numbers, graph.counts, scan.arrays, decisions, expected, self._settings()
+        )
         self._experience = hypothesis.experience or self._experience
         m.learned(added)
         graph.learned(added)
@@ -188,7 +185,11 @@ class Slam:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
         self._missed_loops.learn(self._learned, prediction, hypothesis)
-        removed = self._forget(due) if due else _NO_FEATURES
+        self._learned_at.append(m.step)
+        if len(removed):
+            m.learned(-len(removed))
+            graph.learned(-len(removed))
+            self._renumber(became)
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed)
 
@@ -274,7 +275,7 @@ class Slam:
             reach = max(reach, _farthest(scan.points, scan.covariances))
         prediction = predict(
             self.map, reach, odometry=odometry, scan=scan, graph=self.covisibility if self.spec.locality else None,
-            recent=self._recent.ravel(), accidental=(self._gate, most_accidental),
+            since=self._learned_at[0] if self._learned_at else self.map.step, accidental=(self._gate, most_accidental),
             sight=self.view_from, experience=self._experience,
         )  # fmt: skip
         self._farthest = reach
@@ -317,7 +318,7 @@ class Slam:
         """Go on in an empty map, and return the ids of the features that are left behind."""
         removed = self.map.ids
         self.map, self.covisibility = atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
-        self._recent.fill(UNPAIRED)
+        self._learned_at.clear()
         self._missed_loops.reset()
         tracker.forget()
         return removed
@@ -337,14 +338,6 @@ class Slam:
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
-    def _row_for(self, count: int) -> IntArray:
-        """The row of `_recent` for the features of a scan of `count` measurements; it replaces the oldest scan."""
-        rows, width = self._recent.shape
-        if count > width:
-            self._recent = np.pad(self._recent, ((0, 0), (0, count - width)), constant_values=UNPAIRED)
-        row: IntArray = self._recent[self._learned % rows]
-        return row
-
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""
         beyond = 0.0
@@ -360,20 +353,8 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self, due: int) -> IntArray:
-        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
-        m, graph = self.map, self.covisibility
-        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
-        *_, confirmations, before = self._settings()
-        forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
-        m.learned(-due)
-        graph.learned(-due)
-        self._renumber(became)
-        return removed
-
     def _renumber(self, became: IntArray) -> None:
         """Renumber what is stored by feature: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
-        self._recent = np.append(became, UNPAIRED)[self._recent]
         if self.tracker is not None:
             self.tracker.renumber(became)
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.geometry import observe
+from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Array, IntArray, Odometry
@@ -39,8 +40,9 @@ def predicted(
     recent: IntArray | None = None,
     odometry: Odometry | None = None,
 ) -> Prediction:
-    lately = np.empty(0, np.int64) if recent is None else recent
-    return predict(m, reach, odometry=odometry, graph=graph, recent=lately)
+    if recent is not None:
+        m.arrays[2][ekf.LAST_SEEN, recent] = m.step
+    return predict(m, reach, odometry=odometry, graph=graph, since=m.step)
 
 
 def smallest_over_largest(m: StochasticMap) -> float:

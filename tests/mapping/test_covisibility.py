@@ -78,16 +78,6 @@ def test_localities_equal_the_definition(seed: int) -> None:
         np.testing.assert_array_equal(graph.among(chosen), np.array(among, dtype=bool).reshape(size, size))
 
 
-def test_memory_is_linear_in_features_times_neighbours() -> None:
-    """A corridor in which each feature is seen with 20 others; both dimensions may have been doubled once too often."""
-    n, graph = 10_000, CovisibilityGraph()
-    graph.add(n)
-    for first in range(n - 10):
-        graph.see_together(np.arange(first, first + 11))
-    assert len(graph.edges()[0]) == 10 * n - 55
-    assert len(pickle.dumps(graph)) < (2 * n) * (2 * 20) * 16
-
-
 def test_copies_go_their_own_way() -> None:
     graph, oracle = random_pair(np.random.default_rng(7), 20)
     for other in (copy.deepcopy(graph), pickle.loads(pickle.dumps(graph))):

@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import UNPAIRED, Array, Odometry, Scan
+from slam_gym.types import Array, Odometry, Scan
 from tests.mapping.small_maps import STILL, h, mapped, predicted
 from tests.oracles.geometry import numerical, observe_jacobians
 from tests.oracles.map import make_scan
@@ -64,7 +64,7 @@ def test_motion_and_prediction_in_one_call_are_one_after_the_other(locality: boo
     apart = together.copy()
     graph.add(together.n)
     graph.see_together(np.array([0, 1, 5]))
-    recent, local = np.array([1, UNPAIRED]), graph if locality else None
+    recent, local = np.array([1]), graph if locality else None
     one = predicted(together, 5.0, local, recent, moved)
     apart.predict(moved)
     other = predicted(apart, 5.0, local, recent)

@@ -40,15 +40,12 @@ def expecting(
     x[entries], whole[np.ix_(entries, entries)] = positions.ravel(), P
     counted, sized, all_near, at, blocks, nowhere = plain.rows
     counted = np.stack([features, counted[1], counted[2], counted[3] if sightings is None else sightings])
-    neighbours, degrees = plain.source[3:5]
+    counts = plain.source[3]
     if related is not None:
-        lists = [np.flatnonzero(related[j]) for j in range(k)]
-        neighbours, degrees = np.zeros((n, max((len(l) for l in lists), default=1)), np.int64), np.zeros(n, np.int64)
-        for j, feature in enumerate(features):
-            degrees[feature] = len(lists[j])
-            neighbours[feature, : len(lists[j])] = features[lists[j]]
+        counts = np.zeros((max(n, 1), max(n, 1)), np.int32)
+        counts[np.ix_(features, features)] = related
     rows = counted, sized, all_near if near is None else near, at, blocks, nowhere if across is None else across
-    source = np.array([0.0, 0.0, 0.0, heading_variance]), x, whole, neighbours, degrees, *plain.source[5:]
+    source = np.array([0.0, 0.0, 0.0, heading_variance]), x, whole, counts, *plain.source[4:]
     return dataclasses.replace(plain, rows=rows, source=source, size=(k, n, False, True), confirmations=confirmations)
 
 
@@ -74,8 +71,8 @@ def related_by(prediction: Prediction, related: Array) -> Prediction:
 def without_locality(prediction: Prediction) -> Prediction:
     """The same, with all features local to all."""
     counted, sized, near, *rest = prediction.rows
-    *before, _, _, sight, visible = prediction.source
-    source = *before, np.empty((0, 0), np.int64), np.empty(0, np.int64), sight, visible
+    *before, _, sight, visible = prediction.source
+    source = *before, np.empty((0, 0), np.int32), sight, visible
     return dataclasses.replace(prediction, rows=(counted, sized, np.ones(len(near), np.bool_), *rest), source=source)
 
 

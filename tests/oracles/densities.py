@@ -76,7 +76,7 @@ def in_view(sight: ViewsFrom, positions: Array, covariances: Array, pose: Array 
 def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> Array | None:
     """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
     fixed = prediction.visibility()
-    if fixed is None or len(prediction.source[6]):
+    if fixed is None or len(prediction.source[5]):
         return fixed
     n = len(prediction)
     positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))

@@ -21,12 +21,12 @@ class WrittenOut:
 
     def __init__(self, spec: SlamSpec) -> None:
         self.spec, self.map, self.graph = spec, StochasticMap(spec.map), CovisibilityGraph()
-        self.recent: deque[Any] = deque(maxlen=spec.recent)
+        self.learned_at: deque[int] = deque(maxlen=spec.recent)
 
     def step(self, odometry: Odometry, scan: Scan, associate: Any) -> tuple[Any, ...]:
         m, graph = self.map, self.graph if self.spec.locality else None
-        recent = np.concatenate(self.recent) if self.recent else np.empty(0, np.int64)
-        prediction = predict(m, self.spec.reach, odometry=odometry, graph=graph, recent=recent)
+        since = self.learned_at[0] if self.learned_at else m.step
+        prediction = predict(m, self.spec.reach, odometry=odometry, graph=graph, since=since)
         hypothesis: Hypothesis = associate(scan, prediction)
         m.update(scan, hypothesis.features)
         left = np.flatnonzero(hypothesis.features == UNPAIRED)
@@ -37,7 +37,7 @@ class WrittenOut:
         ids = np.where(behind == UNPAIRED, NO_ID, m.ids[behind])
         self.graph.add(len(new))
         self.graph.see_together(behind[behind != UNPAIRED])
-        self.recent.append(behind[behind != UNPAIRED])
+        self.learned_at.append(m.step)
         removed = self._forget()
         m.end_of_step()
         return prediction, ids, created, removed
@@ -45,12 +45,8 @@ class WrittenOut:
     def _forget(self) -> Any:
         m, age = self.map, self.map.spec.unconfirmed_age
         unconfirmed = np.flatnonzero(m.provisional & (m.first_seen < m.step - (m.step if age is None else age)))
-        removed, became = m.ids[unconfirmed], np.full(m.n, UNPAIRED)
-        kept = m.remove(unconfirmed)
-        self.graph.keep(kept)
-        became[kept] = np.arange(len(kept))
-        for k, features in enumerate(self.recent):
-            self.recent[k] = became[features][became[features] != UNPAIRED]
+        removed = m.ids[unconfirmed]
+        self.graph.keep(m.remove(unconfirmed))
         return removed
 
 

@@ -49,7 +49,7 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hy
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rows, distance, spent = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False)
-    for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
+    for search in range(1 if len(expected.counts) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, gates[1], len(expected.features))
         best = _Best(distance, 0, 0, False)
         if len(offered.pairings.slots) > offered.pairings.fixed:
@@ -94,19 +94,19 @@ class _Stack(NamedTuple):
 def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limit: int, out: IntArray) -> _Best:
     """Write to `out` (m,) the hypothesis with most pairings, then least D²_H, whose prefixes are all compatible.
 
-    `rows` (u,) are the prediction rows of the slots. Branches are tried by ascending D²_ij, `*` last. A branch is
-    visited if its bound (pairings so far plus those that may follow) exceeds the best, or equals it with a smaller
-    D²_H. The number that may follow is the smaller of two counts: the remaining levels with a candidate, and their
-    distinct unused features. Only candidates that can still become legal count. D²_H never shrinks along a path, so a
-    candidate is excluded from the whole subtree once D² of H and itself exceeds the gate of the largest hypothesis that
-    it could complete.
+    `rows` (u,) are the features of the slots; a hypothesis has each of them once. Branches are tried by ascending
+    D²_ij, `*` last. A branch is visited if its bound (pairings so far plus those that may follow) exceeds the best, or
+    equals it with a smaller D²_H. The number that may follow is the smaller of two counts: the remaining levels with a
+    candidate, and their distinct unused features. Only candidates that can still become legal count. D²_H never shrinks
+    along a path, so a candidate is excluded from the whole subtree once D² of H and itself exceeds the gate of the
+    largest hypothesis that it could complete.
 
     For each p: path[p] is the next pairing, position[p] the index of the next candidate, level[p] its level.
     """
-    measured, fixed, depth = pairings.measured, pairings.fixed, len(gates)
+    measured, fixed, depth, feature = pairings.measured, pairings.fixed, len(gates), rows[pairings.slots]
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
     path[:fixed] = np.arange(fixed)
-    stack = _stack_at(pairings, path)
+    stack = _stack_at(pairings, path, feature)
     alive, total, _, _, end, levels, features, distances, floors, _ = stack
     best_path, best, best_distance = path.copy(), fixed, distances[fixed]
     p, nodes, tests, limit_hit = fixed, 0, 0, False
@@ -132,7 +132,7 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
             continue
         nodes += 1
         path[p] = c
-        tests += _push(pairings, stack, p, c, position[p], best, gates)
+        tests += _push(pairings, stack, feature, p, c, position[p], best, gates)
         p += 1
         position[p], level[p] = 0, _UNDECIDED
         if p > best or (p == best and distances[p] < best_distance):
@@ -140,15 +140,16 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
             for q in range(p):
                 best_path[q] = path[q]
     for c in best_path[:best]:
-        out[measured[c]] = rows[pairings.slots[c]]
+        out[measured[c]] = feature[c]
     return _Best(best_distance, nodes, tests, limit_hit)
 
 
 @compiled
-def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
-    """The stack with the candidates that may follow the fixed pairings, with which the path begins."""
+def _stack_at(pairings: Pairings, path: IntArray, feature: IntArray) -> _Stack:
+    """The stack with the candidates that may follow the fixed pairings, with which the path begins; `feature` (c,) is
+    that of each pairing."""
     measured, fixed, depth = pairings.measured, pairings.fixed, len(path)
-    count, features = len(measured), len(pairings.covariance) // 2
+    count = len(measured)
     stack = _Stack(
         np.empty((depth, count), np.int64),
         np.empty((depth, count)),
@@ -159,7 +160,7 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
         np.zeros(depth, np.int64),
         np.zeros(depth),
         np.zeros(depth),
-        np.zeros(features + 1, np.int64),
+        np.zeros(feature.max() + 2, np.int64),
     )
     innovations, alive_count, last = stack.innovations[fixed], 0, _UNDECIDED
     distance = condition_on_fixed(pairings, innovations, stack.w)
@@ -172,12 +173,14 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
         if measured[c] != last:
             stack.levels[fixed], last = stack.levels[fixed] + 1, measured[c]
     stack.end[fixed], stack.distance[fixed], stack.floor[fixed] = alive_count, distance, distance
-    stack.features[fixed] = _count_features(pairings.slots, stack.alive[fixed, :alive_count], stack.stamps)
+    stack.features[fixed] = _count_features(feature, stack.alive[fixed, :alive_count], stack.stamps)
     return stack
 
 
 @inlined
-def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
+def _push(
+    pairings: Pairings, stack: _Stack, feature: IntArray, p: int, d: int, first: int, best: int, gates: Array
+) -> int:
     """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Returns the joint
     tests.
 
@@ -194,7 +197,7 @@ def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: i
     end[q], level_counts[q], distances[q] = 0, 0, distance
     for k in range(first, end[p]):
         c = alive[p, k]
-        if measured[c] == measured[d] or slots[c] == slots[d]:
+        if measured[c] == measured[d] or feature[c] == feature[d]:
             continue
         if restricted and not is_local(local, slots[d], slots[c]):
             continue
@@ -218,17 +221,17 @@ def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: i
     if least < math.inf:
         levels, floor = levels + 1, max(floor, least)
     end[q], level_counts[q], floors[q] = count, levels, floor
-    feature_counts[q] = _count_features(slots, alive[q, :count], stamps)
+    feature_counts[q] = _count_features(feature, alive[q, :count], stamps)
     return tests
 
 
 @inlined
-def _count_features(slots: IntArray, chosen: IntArray, stamps: IntArray) -> int:
+def _count_features(feature: IntArray, chosen: IntArray, stamps: IntArray) -> int:
     """Number of distinct features among the candidates `chosen`."""
     stamps[-1] += 1
     count = 0
     for c in chosen:
-        if stamps[slots[c]] != stamps[-1]:
-            stamps[slots[c]] = stamps[-1]
+        if stamps[feature[c]] != stamps[-1]:
+            stamps[feature[c]] = stamps[-1]
             count += 1
     return count

@@ -80,7 +80,7 @@ def _decide(
     positions, covariances = expected.positions, expected.covariances
     part = Part(0.0, expected.pose[3], positions, covariances, 0.0, expected.across, np.empty((0, 0)))  # all headings
     visible = visibility(expected, positions, covariances)
-    for search in range(1 if len(expected.neighbours) == 0 or expected.near.all() else 2):
+    for search in range(1 if len(expected.counts) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
         tests = spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)

@@ -61,7 +61,7 @@ def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: 
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     points, noise = scan[0], scan[1]
     eligible = expected.near if near else ~expected.near
-    if len(expected.neighbours) == 0:
+    if len(expected.counts) == 0:
         eligible = eligible[:0]  # all of them
     unpaired, features = np.flatnonzero(rows == UNPAIRED), (expected.positions, expected.covariances)
     candidates = gate_pairings((points, noise), features, unpaired, eligible, gate, most)
@@ -70,7 +70,7 @@ def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: 
     offered = np.concatenate((fixed, candidates.rows))
     local = np.empty((0, 0), np.bool_)
     if not near:
-        local = among(expected.neighbours, expected.degrees, expected.n, expected.features[offered])
+        local = among(expected.counts, expected.features[offered])
     pairings = Pairings(
         np.concatenate((np.arange(len(fixed)), candidates.slots + len(fixed))),
         np.concatenate((paired, candidates.measured)),
