@@ -57,7 +57,7 @@ LIMITS: dict[str, dict[str, Limits]] = {
     "SlamSpec": {
         "reach": (1e-3, 1e9), "new_confidence": _CONFIDENCE, "recent": _COUNT, "lost_fraction": _SHARE,
         "lost_scans": _COUNT, "min_expected": _COUNT, "max_chance_probability": _SHARE,
-        "max_accidental_matches": (1e-9, math.inf),
+        "max_accidental_matches": (1e-9, math.inf), "outlier_factor": (1.0, 1e6),
     },
     "RecognitionSpec": {
         "node_limit": (1, 10**9), "every": (1, 10**9), "group": (3, 1000), "recent": (1, 10**9),

@@ -189,6 +189,8 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
 
     H = [… I … −I …], ν = −H x, S = H P Hᵀ = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν, P ← P − Wᵀ W. Raises ValueError where
     S is not positive definite, as when two features are known exactly.
+
+    It is linear in x and P, also where the errors of the map are right-invariant: it suits small errors of the heading.
     """
     if not len(pairs):
         return mean.copy(), P.copy()

@@ -139,7 +139,8 @@ def keep_unambiguous(rows: RowArrays, k: int, P: Array, per_area: float, most: f
     Old features are those that are not near: not local to any that was paired lately. The uncertainty of an old feature
     is measured relative to the most central near feature, because the uncertainty of the robot's pose is common to all.
     The number of other features in its gate is proportional to the gate's area, as if features were uniformly
-    distributed: `per_area` is the number of features in a gate for each [m²] of √det of its covariance.
+    distributed: `per_area` is the number of features in a gate for each [m²] of √det of its covariance. Where no near
+    feature is in reach, nothing is dropped.
     """
     (known, sizes, near, positions, covariances, across), x, y, near_count = rows, 0.0, 0.0, 0
     for row in range(k):

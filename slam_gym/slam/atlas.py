@@ -50,7 +50,7 @@ from slam_gym.slam.places.fusion import (
 from slam_gym.slam.places.loops import find_loop
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate, Tracker
-from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
+from slam_gym.types import UNPAIRED, Hypothesis, IntArray, Scan
 from slam_gym.validation import Checked
 
 _NEW_PART = 0.25  # fraction of the recent part: if more is new since the last search for it, it is searched for again
@@ -100,12 +100,10 @@ class Atlas:
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
         self._searched: IntArray = np.empty(0, np.int64)  # ids of the recent part that was last searched for
 
-    def most_accidental(self, experience: Experience | None) -> float:
-        """The number of accidental matches in the gate of an old feature above which that feature is not offered.
-
-        An associator that returns an `experience` weighs all hypotheses.
-        """
-        return math.inf if experience is not None and self.trust_marginals else self.max_accidental_matches
+    def most_accidental(self, weighs_all: bool) -> float:
+        """The number of accidental matches in the gate of an old feature above which that feature is not offered to the
+        associator, which may be one that weighs all hypotheses: it then returns an `experience`."""
+        return math.inf if weighs_all and self.trust_marginals else self.max_accidental_matches
 
     def trust_associator(self) -> None:
         """Withhold no ambiguous feature from the associator from now on, and reject none of its pairings."""

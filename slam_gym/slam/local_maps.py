@@ -291,9 +291,8 @@ def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> In
     pairs = np.column_stack([older[columns], newer[rows]])
     if not len(pairs):
         return pairs
-    slots, (of_older, of_newer), (numbers, level) = (
-        np.arange(len(pairs)), m.positions[pairs.T], np.unique(pairs[:, 1], return_inverse=True),
-    )  # fmt: skip
+    slots, (of_older, of_newer) = np.arange(len(pairs)), m.positions[pairs.T]
+    numbers, level = np.unique(pairs[:, 1], return_inverse=True)
     noise, all_local = np.zeros((len(numbers), 2, 2)), np.empty((0, 0), np.bool_)
     pairings = Pairings(slots, level, of_newer - of_older, noise, difference_covariance(m, pairs), all_local, 0)
     found, gates = np.full(len(numbers), UNPAIRED), joint_gates(len(numbers), m.spec.confidence)

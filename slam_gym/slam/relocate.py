@@ -47,7 +47,8 @@ class Tracker:
     """Counts the consecutive scans that do not show what the map predicts.
 
     A feature should be in view if it is established, and either its visibility is at least one half, or the last scan
-    that was believed paired it and nothing says that it has gone out of view since. A scan is doubted where
+    that measured anything and was believed paired it, and nothing says that it has gone out of view since. A scan is
+    doubted where
 
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired.
@@ -83,7 +84,7 @@ class Tracker:
         self.relocations = 0  # how often a lost robot was found again
         self.slips = 0  # how often the wheels have slipped
         self._last_paired: IntArray = np.empty(0, np.int64)
-        # (m,) features paired by the last scan that was believed, or UNPAIRED
+        # (m,) features paired by the last believed scan that measured anything, or UNPAIRED
         self._accidental = 0  # scans in a row whose pairings may all be accidental
         self._least_cosine = 1.0  # of the bearings of all measurements so far …
         self._farthest = 0.0  # [m] … and the greatest of their distances
@@ -113,12 +114,12 @@ class Tracker:
         return True
 
     def suspects_slip(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Whether the wheels may have slipped since the last scan: this one is not believed, or its pairings fit worse
-        than errors of a normal motion explain. Never where the view is known, since doubts are reliable there."""
-        if self.lost or prediction.has_view or len(hypothesis.features) < self.min_expected:
+        """Whether the last motion may be an outlier, as after slip: the scan is not believed or, where the view is
+        unknown and doubts are less reliable, its pairings fit worse than errors of a normal motion explain."""
+        if self.lost or len(hypothesis.features) < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
-        return not fits or not self._is_believable(scan, prediction, hypothesis)
+        return not (fits or prediction.has_view) or not self._is_believable(scan, prediction, hypothesis)
 
     def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
         """Whether the hypothesis `after`, for a `prediction` with slip, pairs half of the scan and no less than the one
@@ -139,7 +140,8 @@ class Tracker:
     def accept(self, hypothesis: Hypothesis) -> None:
         """End all doubts: tracking goes on from this hypothesis."""
         self.doubted = 0
-        self._last_paired = hypothesis.features.copy()
+        if len(hypothesis.features):
+            self._last_paired = hypothesis.features.copy()
 
     def forget(self) -> None:
         """Reset the counts for another map."""

@@ -40,7 +40,7 @@ from slam_gym.types import (
 from slam_gym.validation import Checked, check_hypothesis, check_inputs
 
 _NO_FEATURES = np.empty(0, np.int64)
-_SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped
+_SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped, where the view is unknown
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 """A robot that does not move, for certain."""
 
@@ -58,6 +58,8 @@ class SlamSpec(Checked):
     # measurements, is doubted …
     lost_scans: int = 5  # … and after so many doubted scans in a row the robot is lost
     min_expected: int = 3  # fewest expected features, or measurements, from which a doubt can begin
+    outlier_factor: float = 1.0  # where the view is known, a doubted scan is associated again with this factor on the
+    # covariance of the last motion, which may be an outlier; 1: it is not
     max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     max_chance_probability: float = 1.0  # expected number of accidental hypotheses with as many pairings, above which
     # all pairings with old features are rejected; 1: never
@@ -107,6 +109,7 @@ class Slam:
         self._learned = 0  # [scans] learned from so far
         self._farthest = 0.0  # [m] distance of the farthest measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
+        self._weighs_all = False  # whether the associator of the last scan returns an experience
         self._odometry = STILL  # the last
         self._warned = False
         confidence, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
@@ -150,8 +153,10 @@ class Slam:
         if prediction.estimate is not self.map.estimate:
             raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
-        if self.tracker is not None and self.tracker.suspects_slip(scan, prediction, hypothesis):
-            prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker)
+        self._weighs_all = hypothesis.experience is not None
+        factor = self.spec.outlier_factor if prediction.has_view else _SLIP
+        if self.tracker is not None and factor > 1.0 and self.tracker.suspects_slip(scan, prediction, hypothesis):
+            prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker, factor)
         if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
             return self.close_loops(self.relocate(scan, prediction), scan)
         if self.tracker is not None and self.atlas is not None:
@@ -165,7 +170,7 @@ class Slam:
         """Update the map with the pairings, add new features, and remove features that were not confirmed in time.
 
         `hypothesis.new` says which measurements start a feature. If it is None, a measurement starts one if it is
-        unpaired *and* individually compatible with no feature of the map: a measurement that is compatible but unpaired
+        unpaired *and* individually compatible with no predicted feature: a measurement that is compatible but unpaired
         more likely comes from a mapped feature, and is discarded. A gate of confidence γ turns away 1 − γ of the right
         pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
         """
@@ -232,7 +237,7 @@ class Slam:
 
     @property
     def _most_accidental(self) -> float:
-        return math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
+        return math.inf if self.atlas is None else self.atlas.most_accidental(self._weighs_all)
 
     @property
     def reach(self) -> float:
@@ -282,9 +287,9 @@ class Slam:
         return prediction
 
     def _after_slip(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, tracker: Tracker
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, tracker: Tracker, factor: float
     ) -> tuple[Prediction, Hypothesis]:
-        """Associate again by `marginal`, with `_SLIP` times the covariance of the last motion. Returns prediction and
+        """Associate again by `marginal`, with `factor` times the covariance of the last motion. Returns prediction and
         hypothesis of wheels that have slipped if the scan confirms it, and otherwise the given ones.
 
         Nothing has slipped where `marginal` can explain the scan with the given prediction: the associator failed.
@@ -294,7 +299,7 @@ class Slam:
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()
         _, turned = compose_jacobians(inverse(self._odometry.motion), np.zeros(3))  # Q is in R before the motion
-        slipped = Odometry(np.zeros(3), (_SLIP - 1.0) * turned @ Q @ turned.T)
+        slipped = Odometry(np.zeros(3), (factor - 1.0) * turned @ Q @ turned.T)
         prediction_after = self._predict(slipped, scan, self._most_accidental)
         after = marginal(scan, prediction_after)
         if tracker.confirms_slip(hypothesis, prediction_after, after):
@@ -309,6 +314,7 @@ class Slam:
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, UNKNOWN_POSE)
+        tracker.forget()
         tracker.accept(hypothesis)
         tracker.relocations += 1
         everything = self._predict(STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous

@@ -93,7 +93,7 @@ def sizes_of(sizes: ArrayLike | None, sigma: ArrayLike | None, m: int) -> tuple[
 def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
     if kinds is None:
         return np.full(m, UNKNOWN_KIND)
-    array = np.array(kinds)
+    array = np.array(kinds, np.int64 if m == 0 and np.size(kinds) == 0 else None)
     if array.shape != (m,) or not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"kinds: {array.dtype} of shape {array.shape}, expected ({m},) integers")
     return array.astype(np.int64)

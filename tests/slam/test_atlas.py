@@ -126,6 +126,15 @@ def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_
     np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
 
 
+def test_ambiguous_features_are_withheld_again_after_a_scan_of_an_associator_that_weighs_all_hypotheses() -> None:
+    slams = [Slam(EARLY, VIEW, relocate=nobody, atlas=AtlasSpec()) for _ in range(2)]
+    for k, (odometry, scan, _) in enumerate(loop_drive(2, 250).steps):
+        slams[0].step(odometry, scan, "jcbb")
+        slams[1].step(odometry, scan, "jcbb" if k else "marginal")
+    assert len(slams[0].map) > 20
+    np.testing.assert_array_equal(slams[0].map.mean, slams[1].map.mean)
+
+
 def test_the_true_association_is_offered_everything_and_none_of_its_pairings_is_rejected() -> None:
     log = loop_drive(2, 250)
     rejecting = replace(EARLY, max_chance_probability=0.05, trust_marginals=False)

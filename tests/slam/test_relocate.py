@@ -8,6 +8,7 @@ import pytest
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.scenarios.registry import LOG_SETTINGS
 from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -78,6 +79,20 @@ def test_wheels_that_slip_are_noticed_by_any_associator_and_the_robot_is_where_i
             slam.step(Odometry.from_motion(moved + slip, sigmas), scan, associator)
         assert np.hypot(*(slam.map.pose - pose)[:2]) < 0.2, associator
         assert slam.tracker is not None and slam.tracker.slips >= 2 and not slam.doubted
+
+
+@pytest.mark.parametrize("factor", [1.0, 25.0])
+def test_a_motion_that_is_an_outlier_is_noticed_where_the_view_is_known(factor: float) -> None:
+    """The odometry of the last step is wrong by five standard deviations, far more than the gates allow."""
+    posts, sigmas = np.random.default_rng(1).uniform(-6.0, 10.0, (50, 2)), np.array([0.1, 0.003, 0.002])
+    slam, pose = Slam(SlamSpec(outlier_factor=factor), ViewsFrom(6.28, 6.0), relocate=lambda *_: None), np.zeros(3)
+    for step in range(6):
+        moved, error = np.array([0.5, 0.0, 0.02]) * (step > 0), np.array([0.5, 0.0, 0.0]) * (step == 5)
+        pose = compose(pose, moved)
+        seen = observe(pose, posts)
+        slam.step(Odometry.from_motion(moved + error, sigmas), scan_of(seen[np.hypot(*seen.T) < 6.0]))
+    assert slam.tracker is not None and slam.tracker.slips == (factor > 1.0) and slam.doubted == (factor == 1.0)
+    assert (np.hypot(*(slam.map.pose - pose)[:2]) < 0.1) == (factor > 1.0)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -96,6 +96,9 @@ def facing(positions: np.ndarray) -> Prediction:
     return Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
 
 
+NOTHING = Hypothesis(np.empty(0, np.int64), 0.0, 0)  # on a scan without measurements
+
+
 def looking_ahead(scans: int = 3, scale: float = 1.0) -> Tracker:
     """A tracker whose robot is lost after so many `scans`, and whose sensor has measured ahead of it only."""
     tracker = Tracker(0.3, scans, 4)
@@ -143,13 +146,13 @@ def test_pairings_that_chance_may_explain_are_no_proof_and_eight_scans_of_them_a
     assert doubts(tracker, spread, paired(2)) is by_chance and tracker.lost is by_chance
 
 
-def test_slip_is_suspected_without_a_view_where_pairings_are_few_or_fit_badly_and_needs_half_of_the_scan() -> None:
+def test_slip_is_suspected_where_pairings_are_few_or_without_a_view_fit_badly_and_needs_half_of_the_scan() -> None:
     tracker, ahead, scan = looking_ahead(), facing(AHEAD), Scan.from_points(AHEAD, sigma=0.1)
     assert not doubts(tracker, ahead, paired(FEATURES))
     badly = replace(paired(8), joint_distance=100.0)
-    assert tracker.suspects_slip(scan, ahead, paired(0)) and tracker.suspects_slip(scan, ahead, badly)
-    assert not tracker.suspects_slip(scan, ahead, paired(8))
-    assert not tracker.suspects_slip(scan, ahead.with_visibility(np.ones(FEATURES)), badly)
+    for made, with_view in ((ahead, False), (ahead.with_visibility(np.ones(FEATURES)), True)):
+        assert tracker.suspects_slip(scan, made, paired(0)) and not tracker.suspects_slip(scan, made, paired(8))
+        assert tracker.suspects_slip(scan, made, badly) is not with_view
     for after, confirmed in ((paired(5), True), (paired(4), False), (badly, False)):
         assert tracker.confirms_slip(paired(4), ahead, after) is confirmed
     assert not tracker.confirms_slip(paired(6), ahead, paired(5))
@@ -159,9 +162,15 @@ def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
     tracker = looking_ahead()
     assert not doubts(tracker, facing(AHEAD), paired(FEATURES))
     assert doubts(tracker, facing(AHEAD), paired(0)) and doubts(tracker, facing(-AHEAD), paired(0))
-    nothing = Hypothesis(np.empty(0, np.int64), 0.0, 0)  # of a scan without measurements
-    assert doubts(tracker, facing(AHEAD), nothing) and tracker.doubted == 2
+    assert doubts(tracker, facing(AHEAD), NOTHING) and tracker.doubted == 2
     assert not doubts(tracker, facing(-AHEAD), paired(6))
+
+
+@pytest.mark.parametrize("visibility", [None, np.full(FEATURES, 0.3)])
+def test_what_was_paired_is_still_expected_after_a_scan_without_measurements(visibility) -> None:
+    tracker, ahead = looking_ahead(), facing(AHEAD).with_visibility(visibility)
+    assert not doubts(tracker, ahead, paired(FEATURES)) and not doubts(tracker, ahead, NOTHING)
+    assert doubts(tracker, ahead, paired(0))
 
 
 def test_what_the_last_scan_paired_is_followed_through_removals() -> None:
@@ -178,3 +187,6 @@ def test_in_another_map_nothing_is_expected_of_the_last_one() -> None:
     assert not doubts(tracker, ahead, paired(5)) and doubts(tracker, ahead, paired(0)) and tracker.lost
     tracker.forget()
     assert not tracker.lost and not doubts(tracker, ahead, paired(0))
+    assert not any(doubts(tracker, ahead, paired(2)) for _ in range(6))  # with the last scan, seven are accidental
+    tracker.forget()
+    assert not doubts(tracker, ahead, paired(2))  # the first in this map, not the eighth

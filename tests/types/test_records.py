@@ -49,6 +49,7 @@ def test_sigmas_sizes_and_kinds_are_for_each() -> None:
     np.testing.assert_array_equal(scan.sizes, [0.3, np.nan])
     np.testing.assert_allclose(scan.size_variances, [0.01, np.nan])
     assert scan.kinds.dtype == np.int64 and scan.kinds.tolist() == [3, UNKNOWN_KIND]
+    assert Scan.from_points([], sigma=0.1, kinds=[]).kinds.dtype == np.int64
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ A hypothesis H over a scan has the density (up to a constant)
 
 with λ [1/m²] the density of measurements of nothing in the map (clutter and new features together), P_D the probability
 that the detector reports a feature in view, and v_j the probability that feature j is in view from the pose that the
-hypothesis itself implies. Where visibility is unknown, nothing is concluded from features that were not seen: the
-factors are P_D for paired and 1 for other features.
+hypothesis itself implies; only walls are looked up along the line from the predicted pose. Where visibility is unknown,
+nothing is concluded from features that were not seen: the factors are P_D for paired and 1 for other features.
 
 The normalised densities of all hypotheses (`weighed`) yield the marginal probability of every pairing, as in joint
 probabilistic data association: the sum of the weights of the hypotheses that make it.
