@@ -86,6 +86,12 @@ class CovisibilityGraph:
         graph.counts[self.n : graph.n, self.n : graph.n] = other.counts[: other.n, : other.n]
         return graph
 
+    def reordered(self, order: IntArray) -> CovisibilityGraph:
+        """The graph with its nodes in another `order` (n,)."""
+        graph = copy.deepcopy(self)
+        graph.counts[: self.n, : self.n] = self.counts[np.ix_(order, order)]
+        return graph
+
     def fused(self, kept: IntArray, dropped: IntArray) -> CovisibilityGraph:
         """A graph in which node kept[i] takes over the edges of dropped[i], (k,), which are removed.
 

@@ -303,6 +303,13 @@ class StochasticMap:
         m.n, m.step, m.next_id = n, state.step, state.next_id
         return m
 
+    def reordered(self, order: IntArray) -> StochasticMap:
+        """The map with its features in another `order` (n,)."""
+        state, rows = self.state, np.concatenate([np.arange(3), (3 + 2 * order[:, None] + np.arange(2)).ravel()])
+        mean, covariance = state.mean[rows], state.covariance[np.ix_(rows, rows)]
+        counted, sized = state.counted[:, order], state.sized[:, order]
+        return StochasticMap.of_state(self.spec, MapState(mean, covariance, counted, sized, state.step, state.next_id))
+
     def save(self, path: str | Path) -> None:
         """Write the contents of the map and its settings into an .npz file. Raises ValueError for a map of more than
         1 GB, some 5 700 features."""

@@ -145,8 +145,7 @@ def paired_positions(step: SlamStep, ids: IntArray, landmarks: Array) -> Array:
     """(m, 2) the one of `landmarks` (n, 2), with `ids` (n,), with which each measurement was paired, NaN if none."""
     positions = np.full((len(step.ids), 2), np.nan)
     paired = (step.ids != NO_ID) & ~step.created & np.isin(step.ids, ids)
-    by_id = np.argsort(ids)  # ids need not ascend after maps were joined
-    positions[paired] = landmarks[by_id[np.searchsorted(ids, step.ids[paired], sorter=by_id)]]
+    positions[paired] = landmarks[np.searchsorted(ids, step.ids[paired])]
     return positions
 
 

@@ -126,24 +126,26 @@ def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
 
 
 class _Joined(NamedTuple):
-    """An inactive and the active map in one, not fused yet, and the index of the first feature of each."""
+    """An inactive and the active map in one, not fused yet, and the index in it of each feature of the two."""
 
     area: MappedArea
-    inactive: int
-    active: int
+    inactive: IntArray
+    active: IntArray
 
 
 def _joined_at(inactive: MappedArea, active: MappedArea, base: Array) -> _Joined:
     """Join in the base of the map that began first, with the base of the active map at the pose `base` in the other.
 
-    The features are those of the map that began first, then those of the other; the robot is that of the active map.
+    The features are in the order of their ids, the oldest first; the robot is that of the active map.
     """
     a, b = inactive.map, active.map
     if inactive.began < active.began:
-        graph = inactive.covisibility.followed_by(active.covisibility)
-        return _Joined(MappedArea(join_at(a, b, base), graph), 0, a.n)
-    graph = active.covisibility.followed_by(inactive.covisibility)
-    return _Joined(MappedArea(join_at(b, a, inverse(base), robot_of_a=True), graph), b.n, 0)
+        m, graph = join_at(a, b, base), inactive.covisibility.followed_by(active.covisibility)
+    else:
+        m, graph = join_at(b, a, inverse(base), robot_of_a=True), active.covisibility.followed_by(inactive.covisibility)
+    order = np.argsort(m.ids)
+    ids, area = m.ids[order], MappedArea(m.reordered(order), graph.reordered(order))
+    return _Joined(area, np.searchsorted(ids, a.ids), np.searchsorted(ids, b.ids))
 
 
 def join_recognised(inactive: MappedArea, active: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
@@ -160,19 +162,19 @@ def join_recognised(inactive: MappedArea, active: MappedArea, recent: IntArray, 
         return None
     paired = found.features != UNPAIRED
     joined = _joined_at(inactive, active, found.pose)
-    parts = Parts(joined.active + recent, joined.inactive + among)
+    parts = Parts(joined.active[recent], joined.inactive[among])
     pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
     pairs = agreeing(joined.area.map, pairs, spec, prior=False)
     few = len(pairs) < least_pairs(len(among), spec)
     if few or overlap(joined.area.map, parts, pairs) < spec.min_fraction:
         return None
-    return _fused(joined, pairs, active.map.n)
+    return _fused(joined, pairs)
 
 
-def _fused(joined: _Joined, pairs: IntArray, n: int) -> Fusion:
-    """The fusion of pairs (k, 2) of joined maps, with `became` of the active map, of `n` features."""
+def _fused(joined: _Joined, pairs: IntArray) -> Fusion:
+    """The fusion of pairs (k, 2) of joined maps, with `became` of the active map."""
     fusion = fuse(*joined.area, np.sort(pairs, axis=1))
-    return fusion._replace(became=fusion.became[joined.active : joined.active + n])
+    return fusion._replace(became=fusion.became[joined.active])
 
 
 def join_relocated(
@@ -185,10 +187,10 @@ def join_relocated(
     """
     joined = _joined_at(inactive, active, compose(found.pose, inverse(active.map.pose)))
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
-    pairs = np.column_stack([joined.inactive + found.features[paired], joined.active + features[paired]])
+    pairs = np.column_stack([joined.inactive[found.features[paired]], joined.active[features[paired]]])
     pairs = pairs[np.unique(pairs[:, 1], return_index=True)[1]]  # two measurements may have updated one feature
     pairs = agreeing(joined.area.map, pairs, spec, prior=False)
-    return None if len(pairs) < least_pairs(inactive.map.n, spec) else _fused(joined, pairs, active.map.n)
+    return None if len(pairs) < least_pairs(inactive.map.n, spec) else _fused(joined, pairs)
 
 
 def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:

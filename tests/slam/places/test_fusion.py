@@ -76,6 +76,26 @@ def test_maps_are_joined_in_the_base_of_the_one_that_began_first() -> None:
     assert np.hypot(*(m.positions - points).T).max() < 0.1 and is_covariance(m.covariance)
 
 
+def test_features_stay_in_the_order_of_their_ids_when_a_map_that_began_in_between_is_joined_last() -> None:
+    rng, base = np.random.default_rng(0), np.array([1.0, -2.0, 2.0])
+    known, more, others = (apart(np.random.default_rng(seed), count) for seed, count in ((1, 30), (2, 6), (3, 10)))
+    places = [known, np.concatenate([known[:14], more - 20.0]), np.concatenate([known[14:28], others + 20.0])]
+    areas: list[MappedArea] = []
+    for points in places:
+        m = areas[-1].map.successor() if areas else StochasticMap(MapSpec(unconfirmed_age=None))
+        areas.append(MappedArea(m, CovisibilityGraph()))
+        enter(*areas[-1], observe(base, points) if m.next_id else points, rng, SIGMA)
+    first = join_recognised(areas[0], areas[2], np.arange(14), SPEC)
+    assert first is not None
+    joined = join_recognised(areas[1], MappedArea(first.map, first.covisibility), np.arange(14), SPEC)
+    assert joined is not None
+    ids, truth = joined.map.ids, np.concatenate(places)
+    assert (np.diff(ids) > 0).all() and np.isin(np.r_[:30, 44:50, 64:74], ids).all()
+    assert np.hypot(*(joined.map.positions - truth[ids]).T).max() < 1.0
+    seen_together = joined.covisibility.among(np.arange(len(ids)))
+    assert seen_together[ids < 30][:, ids < 30].all() and not seen_together[ids < 14][:, ids >= 64].any()
+
+
 def test_other_ground_and_mirror_images_are_not_recognised() -> None:
     wrong = 0
     for seed in range(25):
