@@ -328,7 +328,7 @@ def predict(
         scan: checked before the robot moves.
         graph: covisibility graph that defines the localities; None: all features are local to each other.
         since: step from which a scan is recent: features updated or started since then, and features local to them, are
-            near.
+            near. By default no scan is recent.
         accidental: χ² gate of a pairing; and the number of accidental matches expected in the gate of a feature that is
             not near above which it is left out.
         sight: computes what the sensor has in view from a pose.

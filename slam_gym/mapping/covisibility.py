@@ -176,12 +176,11 @@ def keep_nodes(counts: Counts, n: int, kept: IntArray) -> None:
 @compiled
 def mark_local(counts: Counts, n: int, features: IntArray) -> BoolArray:
     """`CovisibilityGraph.local_to`; without counts, (0, 0), all n features are local."""
-    local, seen = np.full(n, len(counts) == 0), np.full(n, len(counts) == 0)
+    local = np.full(n, len(counts) == 0)
     for f in features:
-        if f >= 0 and not seen[f]:
-            seen[f], row = True, counts[f]
+        if f >= 0 and len(counts) > 0:
             for j in range(n):
-                local[j] |= row[j] > 0
+                local[j] |= counts[f, j] > 0
             local[f] = True
     return local
 

@@ -14,6 +14,7 @@ from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
 from tests.slam.test_slam import scan_of
+from tests.slam.test_tracker import AHEAD, FEATURES, doubts, facing, paired
 
 STILL = Odometry.from_motion([0, 0, 0], [0.01, 0.01, 0.003])
 
@@ -108,6 +109,19 @@ def test_a_robot_of_short_sight_is_not_lost_because_most_of_what_it_paired_is_ou
         slam.step(odometry, scan_of(seen + 0.05 * rng.standard_normal(seen.shape), 0.05), "marginal")
         doubts += slam.doubted
     assert doubts <= 1 and len(slam.map) > 200
+
+
+def test_after_relocation_the_count_of_scans_that_chance_may_explain_starts_again() -> None:
+    pairings = [0, 1, *[UNPAIRED] * (FEATURES - 2)]
+    spec = SlamSpec(lost_scans=1, min_expected=2)
+    slam = Slam(spec, relocate=lambda *_: found(pairings, np.zeros(3)))
+    for _ in range(3):
+        slam.step(STILL, scan_of(AHEAD))
+    assert slam.tracker is not None
+    slam.tracker.forget()
+    assert not any(doubts(slam.tracker, facing(AHEAD), paired(2)) for _ in range(7))
+    slam.step(STILL, scan_of(np.add(AHEAD, [8.0, 5.0])))
+    assert slam.relocations == 1 and not doubts(slam.tracker, facing(AHEAD), paired(2))  # not the eighth in a row
 
 
 def test_the_pose_found_is_what_the_pairings_tell() -> None:
