@@ -185,7 +185,7 @@ def start_of(log: Recording) -> Array | None:
 def measure(mapped: MappedLog) -> Record:
     """All measures of a mapped log."""
     log = mapped.log
-    about = {"steps": len(log), "measurements": len(log.points)}
+    about = {"steps": len(log), "measurements": len(log.points), "missed_loop": mapped.slam.missed_loop}
     errors, best = _poses(mapped) | _landmarks(mapped), smoothed(mapped)
     of_best = {} if best is None else _poses(best) | _landmarks(best)
     batch = {f"{name}_batch": of_best.get(name, math.nan) for name in ("ate", "landmark_rmse")}

@@ -137,6 +137,15 @@ class Tracker:
         self._least_cosine = min(float(ahead.min(initial=1.0)), self._least_cosine)
         self._farthest = max(float(distances.max(initial=0.0)), self._farthest)
 
+    def in_sector(self, positions: Array, fraction: float = 1.0) -> BoolArray:
+        """(k,) which of the positions (k, 2) in R lie in the sector in which the sensor has measured before, or in one
+        with a `fraction` of its angle and radius."""
+        distances = np.hypot(positions[:, 0], positions[:, 1])
+        least_cosine = math.cos(fraction * math.acos(self._least_cosine)) if fraction < 1.0 else self._least_cosine
+        ahead = positions[:, 0] >= least_cosine * distances
+        inside: BoolArray = ahead & (distances <= fraction * self._farthest)
+        return inside
+
     def accept(self, hypothesis: Hypothesis) -> None:
         """End all doubts: tracking goes on from this hypothesis."""
         self.doubted = 0
@@ -171,7 +180,7 @@ class Tracker:
         """Whether chance may explain all pairings of this scan and of the last ones, by the rule of this class."""
         if prediction.has_view or len(scan) < 2 * self.min_expected:
             return False
-        in_sector = ~prediction.provisional & self._in_sector(prediction.positions)
+        in_sector = ~prediction.provisional & self.in_sector(prediction.positions)
         if np.count_nonzero(in_sector) < 2 * self.min_expected:
             return False
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
@@ -199,14 +208,8 @@ class Tracker:
         paired = np.isin(prediction.features, self._last_paired)
         visibility = prediction.visibility()
         if visibility is None:
-            return paired & self._in_sector(prediction.positions)
+            return paired & self.in_sector(prediction.positions)
         return (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
-
-    def _in_sector(self, positions: Array) -> BoolArray:
-        """(k,) which of the positions (k, 2) in R lie in the sector in which the sensor has measured before."""
-        distances = np.hypot(positions[:, 0], positions[:, 1])
-        inside: BoolArray = (positions[:, 0] >= self._least_cosine * distances) & (distances <= self._farthest)
-        return inside
 
 
 @compiled

@@ -103,7 +103,7 @@ class Slam:
             self.atlas = Atlas(atlas, relocate, *limits)
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
-        self._missed_loops = MissedLoops()
+        self._missed_loops = MissedLoops(self.tracker)
         self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
         self._learned_at: deque[int] = deque(maxlen=self.spec.recent)  # steps of the last scans learned from
         self._learned = 0  # [scans] learned from so far
@@ -175,6 +175,8 @@ class Slam:
         pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
+        self._learned += 1
+        self._missed_loops.learn(self._learned, prediction, hypothesis, m)
         m.make_room(count)
         graph.make_room(count)
         is_decided, ids = hypothesis.new is not None, np.empty(count, np.int64)
@@ -188,8 +190,6 @@ class Slam:
         graph.learned(added)
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
-        self._learned += 1
-        self._missed_loops.learn(self._learned, prediction, hypothesis)
         self._learned_at.append(m.step)
         if len(removed):
             m.learned(-len(removed))
@@ -263,8 +263,8 @@ class Slam:
     def missed_loop(self) -> bool:
         """Whether the robot seems to map a place for the second time: see `slam_gym.slam.missed_loops`.
 
-        It remains true until a loop is closed, maps are joined, or another map begins. Always False without `view_from`
-        or localities.
+        It remains true until a loop is closed, maps are joined, or another map begins. Always False without localities,
+        and with neither `view_from` nor `relocate`.
         """
         return self._missed_loops.missed
 

@@ -1,5 +1,6 @@
 """Loops that close and maps that are joined, on drives round a block; and nothing changes while nothing is wrong."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,13 @@ from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import align_se2
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, IntArray, Scan
-from tests.slam.rings import REACH, VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
+from slam_gym.types import NO_ID, IntArray, Odometry, Scan
+from tests.slam.rings import RADIUS, REACH, VIEW, Drive, drive, duplicates, look, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
@@ -174,20 +176,36 @@ def test_a_pairing_that_is_rejected_updates_and_starts_nothing() -> None:
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
 
 
+@pytest.mark.parametrize("view", [VIEW, None], ids=["view", "no view"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_robot_that_maps_a_place_twice_says_so_and_an_atlas_closes_the_loop_by_the_place_alone(seed: int) -> None:
+def test_a_robot_that_maps_a_place_twice_says_so_and_an_atlas_closes_the_loop_by_the_place_alone(
+    seed: int, view: ViewsFrom | None
+) -> None:
     sound, log = loop_drive(seed, 450, None, 0.001), loop_drive(seed, 450, 200, 0.001)
-    known, carried, blind = Slam(SlamSpec(reach=REACH), VIEW), Slam(SlamSpec(reach=REACH), VIEW), Slam(SlamSpec())
+    spec = SlamSpec(reach=REACH, lost_fraction=0.0)
+    known, carried, slam = (Slam(spec, view, relocate=nobody, atlas=atlas) for atlas in (None, None, AtlasSpec()))
     assert duplicates(map_it(known, sound)[0]) <= 10 and not known.missed_loop
     plain, without = map_it(carried, log)
     assert duplicates(plain) > 10 and carried.missed_loop
-    map_it(blind, log)
-    assert not blind.missed_loop
-    slam = Slam(SlamSpec(reach=REACH, lost_fraction=0.0), VIEW, relocate=nobody, atlas=AtlasSpec())
     judged, error = map_it(slam, log)
     assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0
     assert duplicates(judged) < 0.6 * duplicates(plain) and error < without
     assert_valid(slam, "loop")
+
+
+def test_where_the_view_is_unknown_no_feature_is_missed_that_walls_have_always_hidden_from_here() -> None:
+    """The robot drives round a block, and then round it again in the next corridor, behind a wall."""
+    rng, slam, hidden = np.random.default_rng(0), Slam(SlamSpec(), relocate=nobody), 0
+    landmarks, pose = ring_of_landmarks(rng), np.array([RADIUS, 0.0, math.pi / 2.0])
+    for angle in np.linspace(0.0, 4.0 * math.pi, 500):
+        scale = 1.0 if angle < 2.0 * math.pi else 1.4
+        radius, before = scale * RADIUS, pose
+        pose = np.array([radius * math.cos(angle), radius * math.sin(angle), angle + math.pi / 2.0])
+        odometry = Odometry.from_motion(relative(before, pose), [0.01, 0.01, 0.001])
+        step = slam.step(odometry, look(scale * landmarks, pose, rng)[0])
+        old = step.prediction.ages > 100
+        hidden += int((old & slam.tracker.in_sector(step.prediction.positions)).sum())
+    assert hidden > 400 and len(slam.map) > 170 and not slam.missed_loop
 
 
 def test_without_patience_there_is_one_map_only() -> None:

@@ -111,18 +111,21 @@ def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: Recognit
 
 
 def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
-    """The id of the first feature of the second copy: from there on, most features lie on older ones when moved as the
-    recent part is."""
+    """The id of the first feature of the second copy: the first one, started after the originals of the recent part,
+    from which on most features of a window lie on older ones when moved as the recent part is."""
     moved, positions, by_id = transform(found.pose, m.positions), m.positions, np.argsort(m.ids)
     paired = found.features != UNPAIRED
     copies, originals = parts.recent[paired], parts.older[found.features[paired]]
     tolerance = _DRIFT * float(np.hypot(*(moved[copies] - positions[originals]).T).max())
     copied = np.tri(m.n, k=-1, dtype=np.bool_) & (cdist(moved[by_id], positions[by_id]) <= tolerance)
     has_original, ids = copied.any(axis=1), m.ids[by_id]
-    first = int(np.searchsorted(ids, m.ids[copies].min()))
-    while first > _WINDOW and has_original[first - _WINDOW : first].mean() >= 0.5:
-        first -= 1
-    return int(ids[first])
+    between = (m.ids[originals] < m.ids[copies, None]) & (m.ids[copies, None] <= m.ids[copies])
+    cut = int(between.sum(axis=1).argmax())  # the copy before which most originals, and few copies, were started
+    latest = int(np.searchsorted(ids, m.ids[copies[cut]]))
+    earliest = int(np.searchsorted(ids, m.ids[originals[between[cut]]].max(initial=0))) + 1
+    most = np.convolve(has_original, np.ones(_WINDOW), "valid") >= 0.5 * _WINDOW  # of the window that begins there
+    begun = np.flatnonzero(most[earliest:latest])
+    return int(ids[earliest + begun[0] if len(begun) else latest])
 
 
 class _Joined(NamedTuple):

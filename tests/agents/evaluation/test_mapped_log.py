@@ -195,12 +195,14 @@ def test_every_kth_step_compounds_the_odometry_of_the_others(log, count) -> None
 def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_out() -> None:
     numbers = [column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]
     frame = pd.DataFrame([
-        {"setting": setting, "name": name, **dict.fromkeys(numbers, value), "anees": math.nan}
+        {"setting": setting, "name": name, **dict.fromkeys(numbers, value), "anees": math.nan, "missed_loop": value > 1}
         for setting, value in (("a", 1.0), ("b", 3.0)) for name in ("singles", "jcbb")
     ])  # fmt: skip
     assert list(log_means(frame)["ate"]) == [2.0, 2.0] and list(log_means(frame)["name"]) == ["singles", "jcbb"]
     assert list(log_means(frame[1:])["name"]) == ["jcbb"]  # the only one that was run over both
     assert [c.key for c in log_tables(frame[:2], "")[0].columns] == [c.key for c in LOG_COLUMNS if c.key != "anees"]
+    sound, broken = log_tables(frame[:2], "")[0], log_tables(frame[2:], "")[0]
+    assert "twice" not in sound.caption and broken.caption.endswith("mapped a place twice: singles, jcbb.")
 
 
 def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:
