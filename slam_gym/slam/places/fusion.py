@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.stats import binom
 
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.geometry import compose, inverse, transform
@@ -40,6 +41,7 @@ _DOUBLED = 5  # least number of candidate pairs among the neighbours of both tha
 _ANYWHERE = 1000.0  # inflation with which every older feature is searched
 _DRIFT = 3.0  # factor on the largest distance of the pairs found, since copies drift apart from there
 _WINDOW = 10  # features that are judged together where the second copy of a place begins
+_ACCIDENTAL = 0.01  # probability that so many of them lie on older ones by chance, anywhere in the map
 _MORE_PAIRS = 1.25  # factor on the least number of pairs where the whole map is searched
 
 
@@ -112,7 +114,7 @@ def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: Recognit
 
 def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
     """The id of the first feature of the second copy: the first one, started after the originals of the recent part,
-    from which on most features of a window lie on older ones when moved as the recent part is."""
+    from which on more features of a window lie on older ones, when moved as the recent part is, than by chance."""
     moved, positions, by_id = transform(found.pose, m.positions), m.positions, np.argsort(m.ids)
     paired = found.features != UNPAIRED
     copies, originals = parts.recent[paired], parts.older[found.features[paired]]
@@ -123,8 +125,9 @@ def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
     cut = int(between.sum(axis=1).argmax())  # the copy before which most originals, and few copies, were started
     latest = int(np.searchsorted(ids, m.ids[copies[cut]]))
     earliest = int(np.searchsorted(ids, m.ids[originals[between[cut]]].max(initial=0))) + 1
-    most = np.convolve(has_original, np.ones(_WINDOW), "valid") >= 0.5 * _WINDOW  # of the window that begins there
-    begun = np.flatnonzero(most[earliest:latest])
+    by_chance = binom.isf(_ACCIDENTAL / m.n, _WINDOW, has_original[:earliest].mean())
+    enough = np.convolve(has_original, np.ones(_WINDOW), "valid") > max(by_chance, 0.5 * _WINDOW)
+    begun = np.flatnonzero(enough[earliest:latest])
     return int(ids[earliest + begun[0] if len(begun) else latest])
 
 
