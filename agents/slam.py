@@ -64,7 +64,7 @@ def main(
             joined = f"{len(slam.maps)} maps that are not joined: the robot was lost, or the sigmas are too small"
         print(f"{counted(len(table), 'feature')}, {joined}")
         if slam.missed_loop:
-            print("a place is probably mapped twice: features are missing that were seen from there before")
+            print("a place is probably mapped twice: features that were seen from there before are missing")
         if slam.tracker is not None and (doubted or slam.tracker.slips):
             slips = counted(slam.tracker.slips, "time")
             print(f"the wheels slipped {slips}; {counted(doubted, 'scan')} fitted nowhere and taught the map nothing")

@@ -308,9 +308,9 @@ def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
     numbers = frame.set_index("name")[[column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]].astype(float)
     filled = numbers.dropna(axis=1, how="all")
     notes = "\n".join(note for key, note in LOG_NOTES.items() if key in filled)
-    if "missed_loop" in frame and frame["missed_loop"].any():
-        twice = map(display_name, frame["name"][frame["missed_loop"].astype(bool)])
-        notes += f"\nThe robot says that it has mapped a place twice: {', '.join(twice)}."
+    twice = frame["name"][frame["missed_loop"] == 1] if "missed_loop" in frame else ()
+    if len(twice):
+        notes += f"\nThe robot says that it has mapped a place twice: {', '.join(map(display_name, twice))}."
     first, further = ([c for c in shown if c.key in filled] for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS))
     rows = filled.to_dict("index")
     return [Table(title, "associator", first, rows, notes), Table("", "associator", further, rows, "", detail=True)]

@@ -187,6 +187,9 @@ def test_a_robot_that_maps_a_place_twice_says_so_and_an_atlas_closes_the_loop_by
     assert duplicates(map_it(known, sound)[0]) <= 10 and not known.missed_loop
     plain, without = map_it(carried, log)
     assert duplicates(plain) > 10 and carried.missed_loop
+    by_itself = Slam(SlamSpec(reach=REACH), view)
+    map_it(by_itself, log)
+    assert by_itself.missed_loop == (view is not None)  # without a view, the sector is that of the tracker
     judged, error = map_it(slam, log)
     assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0
     assert duplicates(judged) < 0.6 * duplicates(plain) and error < without
