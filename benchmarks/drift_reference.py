@@ -72,7 +72,7 @@ def batch_errors(episode: Episode, steps: list[tuple[Odometry, Scan, IntArray]])
         return {"batch": float("nan"), "batch_aligned": float("nan")}
     confirmed = np.concatenate([m.ids[~m.provisional] for m in episode.slam.maps])
     mapped = transform(episode.base, best.positions[np.searchsorted(best.ids, confirmed)])
-    sigma0, sources = episode.scenario.prior_sigma, episode.identities.source_of(confirmed)
+    sigma0, sources = episode.scenario.prior_sigma, episode.identities.majority_of(confirmed)
     known = mapped[sources >= 0], episode.site.plan.features.positions[sources[sources >= 0]]
     aligned = map_error_aligned(mapped, episode.targets, sigma0, known)
     return {"batch": map_error(mapped, episode.targets, sigma0), "batch_aligned": aligned}

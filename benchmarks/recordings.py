@@ -60,7 +60,7 @@ class HalfMap(NamedTuple):
     """The map of the first half of a log, with the labels of its features."""
 
     positions: Array  # (n, 2) [m]
-    sources: IntArray  # (n,) identity of each feature, which is that of the measurement that started it
+    sources: IntArray  # (n,) identity of each feature, that of most of its measurements
 
 
 def spread(items: Sequence[Any], count: int) -> list[Any]:

@@ -135,10 +135,10 @@ def map_log(
         "source": log.sources,
         "paired": (feature != NO_ID) & ~np.concatenate(created),
         "feature": final_ids(slam, feature),
-        "feature_source": np.where(feature == NO_ID, UNPAIRED, identities.source_of(np.maximum(feature, 0))),
+        "feature_source": np.where(feature == NO_ID, UNPAIRED, identities.majority_of(np.maximum(feature, 0))),
     })  # fmt: skip
     features = pd.DataFrame({
-        "id": m.ids, "identity": identities.source_of(m.ids), "confirmed": (~m.provisional).astype(int),
+        "id": m.ids, "identity": identities.majority_of(m.ids), "confirmed": (~m.provisional).astype(int),
         "seen": m.seen, "x": m.positions[:, 0], "y": m.positions[:, 1], "variance_x": m.covariances[:, 0, 0],
         "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
@@ -194,7 +194,7 @@ def measure(mapped: MappedLog) -> Record:
 
 def associations(mapped: MappedLog) -> Record:
     """Measures of the pairings of measurements with an identity and, separately, of spurious ones; and of the confirmed
-    features, by the identity of the measurements that started them (NaN without labels)."""
+    features, by the identity of most of their measurements (NaN without labels)."""
     tally, sources = replace(mapped.tally, fp_spurious=0), mapped.log.sources
     spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]
     accepted = spurious[spurious["paired"]]

@@ -8,7 +8,6 @@ The maps of drives and logs are made by associators, so that they contain the mi
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -145,23 +144,20 @@ class Source:
 
     def _watched(self, run: AssociationRun, rng: np.random.Generator) -> Iterator[Decisions]:
         """The examples of a drive or a log: all ambiguous scans, and a fraction `_EASY` of the others."""
-        associate, seen = resolve_associator(self.associator), SeenAs()
+        associate = resolve_associator(self.associator)
         for _ in range(min(run.length, _MOST_TICKS)):
             if run.over:
                 return
             run.next_scan()
             if len(run.scan) and len(run.prediction):
-                ids = run.slam.map.ids
-                truth = RightAnswers.of(run.truth, seen.source_of(ids, run.identities.source_of(ids)))
+                truth = RightAnswers.of(run.truth, run.identities.majority_of(run.slam.map.ids))
                 easy = rng.random() < _EASY
                 decisions = decisions_of(*without(self.hidden, run.scan, run.prediction), truth)
                 if decisions is not None and _doubtful(decisions):
                     yield decisions
                 elif decisions is not None and easy:
                     yield decisions._replace(weight=1.0 / _EASY)
-            hypothesis = associate(run.scan, run.prediction)
-            seen.add(run.slam.map.ids, hypothesis.features, run.truth.sources)
-            run.associate(hypothesis)
+            run.associate(associate(run.scan, run.prediction))
 
 
 def _log(name: str) -> ScanLog:
@@ -181,28 +177,6 @@ def _log(name: str) -> ScanLog:
             yield odometry, scan, Truth(pose, sources)
 
     return ScanLog(log.name, steps, len(log), slam_for(log), log.landmarks)
-
-
-class SeenAs:
-    """The true feature with which each feature of a map has been paired most often.
-
-    After wrong pairings this may differ from the true feature that started it, which is the identity elsewhere.
-    """
-
-    def __init__(self) -> None:
-        self._votes: dict[int, Counter[int]] = {}
-
-    def source_of(self, ids: IntArray, started: IntArray) -> IntArray:
-        """(n,) the true features of `ids` (n,), which the true features `started` (n,) have started."""
-        for feature, source in zip(ids.tolist(), started.tolist()):
-            self._votes.setdefault(feature, Counter({source: 1}))
-        return np.array([self._votes[feature].most_common(1)[0][0] for feature in ids.tolist()], np.int64)
-
-    def add(self, ids: IntArray, features: IntArray, sources: IntArray) -> None:
-        """Count a scan whose measurements of the true features `sources` (m,) are paired with `features` (m,)."""
-        for feature, source in zip(features.tolist(), sources.tolist()):
-            if feature != UNPAIRED and source != UNLABELLED and int(ids[feature]) in self._votes:
-                self._votes[int(ids[feature])][source] += 1
 
 
 def _doubtful(d: Decisions) -> bool:

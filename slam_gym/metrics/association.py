@@ -1,13 +1,16 @@
 """Association metrics: whether measurements were paired with the right features.
 
-The identity of a map feature is the source of the measurement that created it. Every measurement is judged against the
-map as it was before its scan, so a feature that a scan creates does not affect the judgement of its other measurements.
+For decisions, the identity of a map feature is the source of the measurement that created it. Every measurement is
+judged against the map as it was before its scan, so a feature that a scan creates does not affect the judgement of its
+other measurements. For the map, it is the source of most of its measurements: a feature that one measurement of a
+neighbour created, and two hundred of its own then moved into place, is no duplicate of the neighbour.
 """
 
 from __future__ import annotations
 
 import bisect
 import math
+from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -91,6 +94,7 @@ class Identities:
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
         self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id, features no longer in the map included
         self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of its oldest feature in the map
+        self._measured: dict[int, Counter[int]] = {}  # id -> how many of its measurements came from each source
         self._in_map: dict[int, list[int]] = {}  # source -> ids of its features in the map, oldest first
 
     @property
@@ -107,6 +111,12 @@ class Identities:
     def source_of(self, ids: IntArray) -> IntArray:
         """(k,) true feature behind each map feature in `ids` (k,); SPURIOUS: created by a spurious measurement."""
         return self._source[ids]
+
+    def majority_of(self, ids: IntArray) -> IntArray:
+        """(k,) true feature from which most measurements of each map feature in `ids` (k,) came, of equals the first;
+        SPURIOUS or UNLABELLED where it is none. Only the first measurement counts where it has no label."""
+        counts = [self._measured.get(feature, Counter({UNLABELLED: 1})) for feature in ids.tolist()]
+        return np.array([of_feature.most_common(1)[0][0] for of_feature in counts], np.int64)
 
     def judge(self, step: SlamStep, truth: Truth) -> None:
         """Judge the decisions of one step, then register the features that it created and removed.
@@ -125,6 +135,9 @@ class Identities:
             step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions,
             self._counts,
         )  # fmt: skip
+        for feature, source, new in zip(step.ids.tolist(), truth.sources.tolist(), step.created.tolist()):
+            if new or (feature != NO_ID and source != UNLABELLED):
+                self._measured.setdefault(feature, Counter())[source] += 1
         if started:
             for i in step.created.nonzero()[0].tolist():
                 self._add(step.ids.item(i), truth.sources.item(i))

@@ -171,7 +171,7 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
     ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
     ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)
     if errors:
-        sources, mapped = episode.identities.source_of(slam.map.ids), transform(episode.base, slam.map.positions)
+        sources, mapped = episode.identities.majority_of(slam.map.ids), transform(episode.base, slam.map.positions)
         known = (sources >= 0) & ~slam.map.provisional
         ends = np.stack([plan.features.positions[sources[known]], mapped[known]])
         ax.plot(*ends.transpose(2, 0, 1), color=RED, lw=0.7)

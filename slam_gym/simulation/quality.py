@@ -19,18 +19,19 @@ def quality(episode: Episode) -> dict[str, float]:
     Provisional features (seen too seldom to be confirmed) are not counted. Features of inactive maps are counted.
 
     `map_error_aligned` is the error after rigid alignment with the truth, that of the shape of the map.
-    `landmark_rmse_…` [m] compare each mapped feature that a real feature created with that feature; duplicates count in
-    `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is the mean error of distances between such
-    features that were seen together. `ate` [m] is that of the positions, without alignment, since both start from one
-    known pose. `missed_loop` is 1 if the robot seems to have mapped a place twice (`Slam.missed_loop`). `anees` is the
-    pose NEES divided by its 3 degrees of freedom, averaged over the ticks. `recovered` is 1 if the pose was right again
-    after a kidnapping; `ticks_astray` is the number of ticks until then.
+    `landmark_rmse_…` [m] compare each mapped feature with the real one that most of its measurements came from. Further
+    mapped features of the same real one count in `duplicates`, and as false in GOSPA (p = 2, c = 1 m). `local_error`
+    [m] is the mean error of distances between features that were seen together. `ate` [m] is that of the positions,
+    without alignment, since both start from one known pose. `missed_loop` is 1 if the robot seems to have mapped a
+    place twice (`Slam.missed_loop`). `anees` is the pose NEES divided by its 3 degrees of freedom, averaged over the
+    ticks. `recovered` is 1 if the pose was right again after a kidnapping; `ticks_astray` is the number of ticks until
+    then.
     """
     nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
     maps, tally = episode.slam.maps, episode.identities.total
     right_again = episode.ticks if kidnapping.recovered is None else kidnapping.recovered
-    sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
+    sources = episode.identities.majority_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
     real, first = np.unique(sources, return_index=True)
     first, real = first[real >= 0], real[real >= 0]
     landmarks = episode.landmarks

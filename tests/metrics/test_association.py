@@ -1,5 +1,6 @@
 """Association metrics against hand-counted scenes, a plain re-count of random runs, and the laws between the counts."""
 
+from collections import Counter, defaultdict
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -141,6 +142,30 @@ def test_counts_agree_with_a_plain_recount(seed):
         assert identities.source_of(np.array(alive, np.int64)).tolist() == [source_of[feature] for feature in alive]
     assert total == identities.total and min(total.tp, total.fp_duplicate, total.fn) > 3
     assert total.f1 == pytest.approx(2 / (1 / total.precision + 1 / total.recall))
+
+
+@for_seeds(20)
+def test_the_map_is_judged_by_most_measurements_of_a_feature(seed):
+    identities, votes = Identities(), defaultdict(Counter)
+    for taken, labels in random_run(np.random.default_rng(seed)):
+        identities.judge(taken, labels)
+        for feature, source in zip(taken.ids.tolist(), labels.sources.tolist()):
+            votes[feature][source] += 1
+    del votes[NO_ID]
+    most = {feature: counts.most_common(1)[0] for feature, counts in votes.items()}
+    clear = [feature for feature, (_, count) in most.items() if 2 * count > votes[feature].total()]
+    assert identities.majority_of(np.array(clear)).tolist() == [most[feature][0] for feature in clear]
+
+
+def test_a_feature_may_be_created_by_one_source_and_measured_from_another():
+    identities = mapped(7, UNLABELLED, UNLABELLED)
+    for source in (8, UNLABELLED, 8):
+        update(identities, step([0, 1]), truth(source, UNLABELLED))
+    for source in (9, 9):  # the only measurements of feature 1 with a label
+        update(identities, step([1]), truth(source))
+    ids = np.array([0, 1, 2])
+    assert identities.source_of(ids).tolist() == [7, UNLABELLED, UNLABELLED]
+    assert identities.majority_of(ids).tolist() == [8, 9, UNLABELLED]
 
 
 def test_features_that_are_back_are_judged_as_if_they_had_never_left():

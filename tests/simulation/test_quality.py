@@ -25,10 +25,10 @@ def judged():
 
 
 def oldest(episode) -> tuple[dict[int, int], int]:
-    """Confirmed feature of each source, the oldest, and how many more there are of real sources."""
+    """Oldest confirmed feature of each source by most measurements, and how many more real sources have."""
     slam_map = episode.slam.map
     confirmed = np.flatnonzero(slam_map.seen >= slam_map.spec.confirmations)
-    sources = episode.identities.source_of(slam_map.ids[confirmed]).tolist()
+    sources = episode.identities.majority_of(slam_map.ids[confirmed]).tolist()
     of: dict[int, int] = {}
     for feature, source in zip(confirmed.tolist(), sources):
         if source >= 0:
