@@ -113,8 +113,10 @@ class Identities:
         return self._source[ids]
 
     def majority_of(self, ids: IntArray) -> IntArray:
-        """(k,) true feature from which most measurements of each map feature in `ids` (k,) came, of equals the first;
-        SPURIOUS or UNLABELLED where it is none. Only the first measurement counts where it has no label."""
+        """(k,) source of most measurements that each map feature in `ids` (k,) got under its id, of equals the first.
+
+        A measurement without a label counts only if it created the feature.
+        """
         counts = [self._measured.get(feature, Counter({UNLABELLED: 1})) for feature in ids.tolist()]
         return np.array([of_feature.most_common(1)[0][0] for of_feature in counts], np.int64)
 
