@@ -1,7 +1,5 @@
 """`slam-gym evaluate`: evaluates drivers on the same test worlds, with a report and films."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`slam-gym report`: makes the report of an evaluation again from its folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,8 +5,6 @@ with the interval in which it should lie; the exit status is 1 where one lies ou
 the worlds: it shows that the training runs and learns, not that its result is the same.
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -6,8 +6,6 @@ LOG.path.tum    the robot's pose at every step, for evo and other tools
 LOG.png         features with ellipses of two standard deviations, and the path; maps that are not joined overlap
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -4,8 +4,6 @@
 Python it is `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 """
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Shared code of the benchmarks: options, tables, timing, a drive in lanes, and judged relocations."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -9,8 +9,6 @@ that in the map joined at the checkpoint. A loop counts as closed if the final m
     python benchmarks/consistency.py       # fifteen minutes
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ knows it; the noise is always the same.
     python benchmarks/corridor.py        # 40 seeds, half a minute
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

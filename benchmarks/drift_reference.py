@@ -11,8 +11,6 @@ common worlds, with 95 % bootstrap intervals of their mean.
 Rows that are in the CSV already are not driven again. `--quick` drives 60 ticks of one world and writes nothing.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 from pathlib import Path

@@ -8,8 +8,6 @@ count accepted answers only.
     python benchmarks/feature_index.py       # four minutes
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

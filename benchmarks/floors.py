@@ -16,8 +16,6 @@ A drive and associator take ten to forty seconds for floors of 200 m, whose driv
 the CSV already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

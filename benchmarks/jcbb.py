@@ -12,8 +12,6 @@ Searches are timed from the call in Python to the result: gating, joint covarian
     python benchmarks/jcbb.py       # two minutes
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

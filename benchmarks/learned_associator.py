@@ -10,8 +10,6 @@ the rows give its map error and the paired difference to the first variant.
 Trainings and drives that are in the folder already are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product

@@ -10,8 +10,6 @@ answers by the required number of pairings, inside the map and outside. A pairin
     python benchmarks/locality.py        # ten minutes
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

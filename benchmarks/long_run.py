@@ -14,8 +14,6 @@ The exit status is 1 if anything broke.
     python benchmarks/long_run.py --ticks 100000 --associator learned
 """
 
-from __future__ import annotations
-
 import gc
 import math
 from collections.abc import Iterator

@@ -8,8 +8,6 @@ precision and recall of every log, and their means.
     SLAM_GYM_DATA=... python benchmarks/parts.py --out parts.csv       # five minutes
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -13,8 +13,6 @@ independent.
     SLAM_GYM_DATA=... python benchmarks/recordings.py       # five minutes
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

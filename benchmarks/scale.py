@@ -12,8 +12,6 @@ until all maps are joined by sparse least squares.
     python benchmarks/scale.py [--features 100 1000 5000]     # five minutes
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

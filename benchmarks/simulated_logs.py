@@ -13,8 +13,6 @@ and the error of the aligned path for every kind of log, means over the seeds.
     python benchmarks/simulated_logs.py       # ten minutes
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

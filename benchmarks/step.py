@@ -8,8 +8,6 @@ their load differ, so compare within a run, or alternate runs.
     python benchmarks/step.py [--associator marginal --scenario drift-2]      # two minutes
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -6,8 +6,6 @@ goals are drawn at random. Ticks are counted, not steps, since a goal takes many
     python benchmarks/vector.py [--worlds 8 --workers 2 --blocks 16]      # three minutes
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from typing import Any

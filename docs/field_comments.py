@@ -4,8 +4,6 @@ The packages document the shape, unit and frame of a field by a comment: `points
 mkdocstrings reads docstrings only, so this extension of Griffe writes the comments into the docstring of the class.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import tokenize

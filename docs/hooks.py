@@ -5,8 +5,6 @@ the tutorials from the notebooks; the pages of formats, changelog and contributi
 repository.
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

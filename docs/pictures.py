@@ -4,8 +4,6 @@ The package itself draws them; the files are small and committed. Names are thos
 for the pictures of all scenarios. Needs the extra `agents`.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The commands are modules of `agents/`, which is at the top of a checkout. A whee
 this process puts that folder on its path, so that no other package named `agents` is shadowed elsewhere.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

@@ -3,8 +3,6 @@
 All functions raise ValueError; readers add the file and the field.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

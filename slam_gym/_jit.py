@@ -6,8 +6,6 @@ everything again. The folders lie in the user's cache directory, or in `NUMBA_CA
 `NUMBA_DISABLE_JIT=1` runs all loops as plain Python.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import functools

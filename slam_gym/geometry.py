@@ -4,8 +4,6 @@ The notation is that of the stochastic-map literature. For a pose b given in the
 which a is given; ⊖a is the inverse of a. Poses are (3,) `[x m, y m, θ rad]`, points (2,) [m].
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Checks of inputs where they enter: scans that would corrupt a map, hypotheses that do not fit it, unknown names, and
 settings out of range."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import sys

@@ -9,8 +9,6 @@ A change that is meant to alter episodes records anew, all rollouts or the ones 
     python -m tests.test_rollouts --record [NAME ...]
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import math

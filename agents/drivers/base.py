@@ -4,8 +4,6 @@ A new agent is one class with `name`, `action`, `reset` and `act`, and optionall
 is accepted wherever a name is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast

@@ -1,7 +1,5 @@
 """The classical drivers: a random goal, the nearest frontier, lanes back and forth, and greedy information gain."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals

@@ -3,8 +3,6 @@
 It knows the plan, its true pose, and which features its map contains. It does not know the noise to come.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ describes a goal, the map around it, and the state of the episode. Of mapped fea
 and the value of revisits is not learned.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The associators of an evaluation, and their effort."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Drives through the same test worlds, by every driver or by one driver with every associator."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """One episode: the arguments of its environment, which are the same for every agent, and its run to the end."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable

@@ -9,8 +9,6 @@ LOG.ASSOCIATOR.errors.csv   the positions, aligned likewise, and their errors ag
 LOG.landmarks.csv           the true landmarks, where they are known
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ The folder contains `results.csv`, one row per episode (`pandas.read_csv`), and 
 conditions and versions behind it. Tables and reports are made from these two files.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import signal

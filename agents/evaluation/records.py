@@ -1,7 +1,5 @@
 """Records of episodes, and the files with records and their provenance."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Estimates with intervals over the episodes of an evaluation, and tables of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

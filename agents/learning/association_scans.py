@@ -5,8 +5,6 @@ of recordings.
 The maps of drives and logs are made by associators, so that they contain the mistakes of associators.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace

@@ -2,8 +2,6 @@
 the learned associator; and behaviour cloning, by which a policy of the interpretation tree learns to decide as an
 associator does, before PPO."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar

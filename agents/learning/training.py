@@ -5,8 +5,6 @@ checkpoints/ (--resume continues from the last), progress.csv, TensorBoard logs 
 associator associator.npz, its last weights as plain arrays.
 """
 
-from __future__ import annotations
-
 import contextlib
 import warnings
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ bytes, and a pickle that the evaluator wrote. An answer goes to stdout as one li
 prints goes to stderr.
 """
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import json

@@ -4,8 +4,6 @@ The loss of an episode is 0 at best: the map error of a drive, or 1 − score in
 scenario; the mean over columns determines the rank.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The figures of the reports, in one style and with one colour for each name."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

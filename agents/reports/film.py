@@ -1,7 +1,5 @@
 """Short films of episodes, with the seeds of the evaluation: of one episode, or of several side by side."""
 
-from __future__ import annotations
-
 import zlib
 from collections import deque
 from collections.abc import Callable, Sequence

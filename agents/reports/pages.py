@@ -4,8 +4,6 @@ A page is a list of parts in order: tables, pictures, films and paragraphs. Pict
 separate files. The terminal shows the tables of the same page.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -3,8 +3,6 @@
 Each plot is drawn twice, for a light and for a dark page (`NAME-light.svg`, `NAME-dark.svg`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -6,8 +6,6 @@ With a prior on the pose, an associator maps a `Scan` and a `Prediction` to a `H
 the tree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

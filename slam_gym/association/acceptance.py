@@ -53,8 +53,6 @@ well are counted: the D² of the set stands for γ_{2k}. The number counts featu
 whether a building repeats itself.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

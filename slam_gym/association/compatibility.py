@@ -6,8 +6,6 @@ innovations of all its pairings, with full cross-covariances, satisfy D²_H = ν
 Tardós, "Data association in stochastic mapping using the joint compatibility test", IEEE TRA 17(6), 2001).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A policy of the interpretation tree as an associator or a relocator like any other; and a plain policy."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -16,8 +16,6 @@ candidates that may still become legal, a walk and 1-point RANSAC to all candida
 candidate at a time.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

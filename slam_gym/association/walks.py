@@ -1,8 +1,6 @@
 """Walks of the interpretation tree, with a prior on the pose or without: policies, orders, and how measurements are
 shown."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Literal, get_args

@@ -1,7 +1,5 @@
 """`slam_gym/Associate-v0`: the agent is the associator, and a baseline drives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

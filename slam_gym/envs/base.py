@@ -1,7 +1,5 @@
 """The base class of the three environments: reset, step, snapshots and copies, rendering, closing."""
 
-from __future__ import annotations
-
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

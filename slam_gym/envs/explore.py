@@ -1,7 +1,5 @@
 """`slam_gym/Explore-v0`: the agent drives, the associator is an argument, and the reward measures the map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Observations of `Explore-v0`: finite, scaled, flat vectors and one egocentric image, relative to the estimate."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

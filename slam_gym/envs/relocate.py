@@ -1,7 +1,5 @@
 """`slam_gym/Relocate-v0`: the agent locates a kidnapped robot in a map, without a prior on its pose."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ not import the caller's main module, which therefore needs no guard. It ends whe
 with this process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

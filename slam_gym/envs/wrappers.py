@@ -4,8 +4,6 @@ They wrap any of the three environments, and each other: masked policies of RLli
 `MaskInObservation(FlatObservation(env))`. All of them leave `action_masks()` available to sb3-contrib.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

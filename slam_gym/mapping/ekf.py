@@ -10,8 +10,6 @@ The other properties of features are the columns of two arrays: `counted` (5, �
 The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ. Measurements: `update`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Matrices are C-contiguous. Loops over long rows run over whole cache lines (`padded`), so that no remainder is left.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -6,8 +6,6 @@ feature, so that its effort is linear in the size of the map. Every `Locality` h
 means that all features are local to each other, and the search is complete.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

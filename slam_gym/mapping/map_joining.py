@@ -13,8 +13,6 @@ the next base and of its features, relative to its own base. The solution is exa
 the result, and sparse: only maps that share features or follow each other are coupled.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

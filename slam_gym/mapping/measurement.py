@@ -18,8 +18,6 @@ covariance, the first terms of the moments of a point rotated by a Gaussian angl
 share has no such effect.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: D
 estimate from the same pairings can be expected to have smaller errors: this is the lower bound in every table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

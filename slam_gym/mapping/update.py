@@ -16,8 +16,6 @@ state along the group, x ← x + V(δθ) δ with V(φ) = ∫₀¹ Rot(sφ) ds. A
 P ← M P Mᵀ, with M = I + J(x⁺ − x) e_θᵀ, where J turns the position of the robot and of each feature.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

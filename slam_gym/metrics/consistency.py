@@ -1,7 +1,5 @@
 """Consistency of the filter: normalised errors, compared with their χ² distribution."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

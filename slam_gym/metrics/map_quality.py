@@ -1,7 +1,5 @@
 """Errors of map and trajectory, from estimated and true points that the caller gives in one frame."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ by shortest augmenting paths (Jonker and Volgenant 1987) over this sparse graph,
 cost 0. A row whose nearest column is still free is assigned to it without a search, in a good map almost all rows.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

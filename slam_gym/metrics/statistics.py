@@ -1,7 +1,5 @@
 """Statistics for tables: interquartile means and bootstrap intervals (Agarwal et al., NeurIPS 2021)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ Only position variances are used, so metres and radians are not mixed. The crite
 covariance of the filter: an overconfident associator is rewarded for its overconfidence.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Cells are addressed [row, column]; row 0 is at the lowest y, column 0 at the low
 loops over the grid are compiled.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

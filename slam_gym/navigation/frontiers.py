@@ -1,7 +1,5 @@
 """Frontiers (Yamauchi 1997): the borders of known free space with unknown space, from which more can be seen."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,8 +8,6 @@ moved by half a cell, its sweeps are removed from the grid and entered again at 
 drawn twice.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Paths over the explored grid: a compiled wavefront that prefers the middle of passages."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Path following: nearest point of a path, remaining length, and pure pursuit for a differential-drive robot."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

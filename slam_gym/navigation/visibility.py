@@ -11,8 +11,6 @@ The rays of one feature end at the quantiles 0.1, 0.3, 0.5, 0.7, 0.9 of its posi
 a feature at the end of a wall, seen along the wall, is neither surely hidden nor surely in sight.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -15,8 +15,6 @@ remains. The error of a line enters the motions before and after its sweep, with
 them to be independent overestimates the error of their sum. A curved wall is approximated by a polygon.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

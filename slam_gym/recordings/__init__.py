@@ -3,8 +3,6 @@
 `open_recordings` opens the logs of the catalogue by name, and others by file, for commands, notebooks and environments.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -12,8 +12,6 @@ measurement, in columns with the prefix `sigma_`; `size`, `sigma_size` [m] of th
 spurious, −2 or empty if unknown.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

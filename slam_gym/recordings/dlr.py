@@ -7,8 +7,6 @@ In the file, the robot looks along −Y and has X to its right. Turned by a righ
 along X, as in this package. The map is then the mirror image of the building, but consistent.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -5,8 +5,6 @@ dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder 
 `Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ Poses are read in the order of their numbers; an edge must lead to each from the
 stamps, so a step counts as one second. Identities are the numbers of the landmarks.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

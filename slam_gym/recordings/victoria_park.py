@@ -8,8 +8,6 @@ The reader needs in one folder: `aa3_dr.mat` (odometry), `VictoriaParkSinSincron
 `aa3_gpsx.mat` (GPS), and `data_sensor_clean_clean.mat` (identities).
 """
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

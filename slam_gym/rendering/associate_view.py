@@ -1,7 +1,5 @@
 """The view of `Associate-v0`: the surroundings of the robot, the current decision, and the interpretation tree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -3,8 +3,6 @@
 Needs the extra `render`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import os

@@ -1,7 +1,5 @@
 """The view of `Explore-v0`: the whole floor, with figures and legend beside or below it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, NamedTuple

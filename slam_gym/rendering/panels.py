@@ -1,8 +1,6 @@
 """Panels beside a map: figures, an interpretation tree, a table of the possible actions, the key to the colours; and
 badges that connect actions with the map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The view of `Relocate-v0`: the map with the candidates, the scan, and the interpretation tree."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # ruff: noqa: RUF009 (`_no_rows` is `dataclasses.field`)
 """A scene: the truth, the robot's estimate and its latest decisions, in one frame; and the legend."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Colours and symbols of pictures, which the map and its legend share."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

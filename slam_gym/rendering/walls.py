@@ -1,7 +1,5 @@
 """Explored walls as lines, since cells would look like saw teeth in pictures against which their grid is turned."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree

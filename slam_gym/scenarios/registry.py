@@ -10,8 +10,6 @@ the middle of such a hall, and no associator can help: features are seen again o
 pose with an error of metres. A robot with a range of 20 m keeps features in view.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 Overrides change the fields of a scenario by dotted names and plain values, from a command line or a JSON file.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import reprlib

@@ -6,8 +6,6 @@ An experiment is a sweep over one parameter, its knob. Each of its levels is a f
 the same scans.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

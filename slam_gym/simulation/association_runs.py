@@ -3,8 +3,6 @@
 A run stops after every scan, before it is associated, and continues with the hypothesis that it is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

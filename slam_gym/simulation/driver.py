@@ -1,7 +1,5 @@
 """Carrying out a goal: plan a path over the explored grid, follow it tick by tick, and stop when the goal has ended."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ Truth and estimate meet here and nowhere else: the estimate side receives `Odome
 B, the frame of the robot's first pose.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The candidate goals of `Explore-v0`: look around, go to a frontier, or revisit a place. They use no truth."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Kidnapping: the robot is carried elsewhere during the episode, and has to relocate."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

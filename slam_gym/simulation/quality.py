@@ -1,7 +1,5 @@
 """All measures of an episode: the map, the trajectory, the associations, the consistency of the filter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym.geometry import transform

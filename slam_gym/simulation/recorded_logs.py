@@ -12,8 +12,6 @@ Published logs are read from the folder that `SLAM_GYM_DATA` names. For MR.CLAM,
 set 6, or of the first set in the folder.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Relocation problems: a map that a robot has made by SLAM, and scans from inside and from outside of it."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ lane link each station to its neighbour there: errors are large over the map and
 stochastic map. Then the robot is lost, and scans once, inside the field or outside of it.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable

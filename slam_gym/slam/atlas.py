@@ -23,8 +23,6 @@ robot goes on in the joined map.
 of a map that becomes inactive are `removed` in the `SlamStep` of that moment, and `returned` when the map is joined.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator

@@ -15,8 +15,6 @@ in which a feature may rightly start a second time. A joined map keeps the oldes
 `identities.source_of(joined.ids)` names the true feature behind each feature of the joined map.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ is what the scans do *not* show: features mapped long ago should be in view, and
 recognition then searches the whole map (`places.fusion.close_missed_loop`).
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

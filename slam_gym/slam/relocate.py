@@ -1,8 +1,6 @@
 """Relocation. The tracker notices from the pairings of a scan, before the map learns, that the robot may be lost. A
 search without a prior finds it again; its answer must explain the scan."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Literal, get_args

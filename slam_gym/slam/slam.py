@@ -1,7 +1,5 @@
 """Feature-based SLAM with a stochastic map, one step on one page: predict, associate, update, add, maintain."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections import deque

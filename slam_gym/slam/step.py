@@ -1,7 +1,5 @@
 """The compiled call of a step of SLAM that follows the associator's answer: update, add, maintain."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym._jit import compiled

@@ -1,7 +1,5 @@
 """Types of arrays, and conversion of what users pass in: fresh arrays of a known shape, or a clear error."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, TypeVar
 

@@ -5,8 +5,6 @@ origin (scenarios, seeds, command, metrics of their training). Other weights are
 MB, without unpickling; arrays must be finite and have the shapes that the caller expects.
 """
 
-from __future__ import annotations
-
 import functools
 import io
 import json

@@ -7,8 +7,6 @@ first side. It scans at step 0 and after every step. All features in range and f
 clutter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

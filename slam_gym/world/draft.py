@@ -1,7 +1,5 @@
 """A floor plan under construction: rooms, doors between them, and the contents of the rooms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

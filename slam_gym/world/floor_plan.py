@@ -3,8 +3,6 @@
 A plan is checked when it is built: its numbers are finite, its sizes are within limits, and all references resolve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property

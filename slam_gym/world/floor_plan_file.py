@@ -1,7 +1,5 @@
 """Floor plan files: JSON for reading and writing, occupancy images and ROS maps for reading."""
 
-from __future__ import annotations
-
 import json
 import reprlib
 from pathlib import Path

@@ -7,8 +7,6 @@ the two sides of a wall have different corners), and every object in a room keep
 room's centre and from all other objects. Coordinates are whole millimetres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple

@@ -4,8 +4,6 @@ A stroll leads to a random place some metres of walking away: a breadth-first pa
 person never walks into the robot, another person or furniture; a person who has waited too long goes elsewhere.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

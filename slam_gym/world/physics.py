@@ -5,8 +5,6 @@ Every episode builds a new world, since a pymunk space whose bodies are put back
 plan, start, generator state and actions give the same trajectory, bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

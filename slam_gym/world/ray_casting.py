@@ -7,8 +7,6 @@ objects are few and are tested one by one: people are discs (d, 3) [m] `x y radi
 y m, length m, width m, heading rad`, (x, y) being the centre, whose sides are segments.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

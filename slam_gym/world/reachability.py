@@ -1,7 +1,5 @@
 """Where a robot of a given radius can go in a floor plan, and which features it can see from there."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Nothing here calls the package's own compatibility, tree or search.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The density of every hypothesis over a scan, by the formula, in the dullest way."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

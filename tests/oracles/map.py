@@ -1,7 +1,5 @@
 """EKF-SLAM as in the textbook, with full matrices and numpy only, and a small world to run it in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Nothing here calls the package's own constraints, location or searches.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """Problems for walks of the tree without a prior, and walks of them."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from typing import Any

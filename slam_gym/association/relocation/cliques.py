@@ -6,8 +6,6 @@ must be local to every other, and the joint test comes last. Where no largest cl
 by one until the rest does; mirror images are among the cliques that fail.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -7,8 +7,6 @@ of three of each, because distances alone cannot reject a mirror image. Cross-co
 that were mapped together share most of their errors, so that gates from their marginals alone would be far too wide.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """GCBB: geometric constraints branch and bound (Neira, Tardós and Castellanos, ICRA 2003), with locality."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym._jit import compiled

@@ -8,8 +8,6 @@ follows χ² with 2k − 3 degrees of freedom. The initial guess is the closed f
 without scale, where each pairing is weighted by the inverse of its variances' sum.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The observation of a relocation walk: flat, finite, scaled float32 vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym.association.relocation.walk import RelocationWalk

@@ -1,7 +1,5 @@
 """The input of a search without a prior, its best hypotheses, and its answer."""
 
-from __future__ import annotations
-
 import functools
 import math
 import time

@@ -1,7 +1,5 @@
 """RS: relocation by random sampling (Neira, Tardós and Castellanos, ICRA 2003), with locality."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,8 +8,6 @@ still legal, since a pairing that is illegal at a node is illegal in its whole s
 of a node, `extend` the node after a decision.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

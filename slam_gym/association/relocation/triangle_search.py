@@ -10,8 +10,6 @@ Each pose that a triangle implies is tested against the whole scan: first by the
 nearest feature, then by pairing, location and joint test.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -7,8 +7,6 @@ looked up by their distances. The matching triangles imply poses, each of which 
 the scan), instead of the number of pairs of pairings.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

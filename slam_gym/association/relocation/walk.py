@@ -6,8 +6,6 @@ restarts, the hypothesis is located and jointly tested, and the best so far is k
 or stop (`*`): the best hypothesis is then the answer.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

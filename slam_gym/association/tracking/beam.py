@@ -9,8 +9,6 @@ Hypotheses with a common beginning are adjacent, so that a candidate is conditio
 per hypothesis. A pairing becomes a node only in a hypothesis that is kept.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -13,8 +13,6 @@ If the prediction itself is of second order (`MapSpec.second_order`), the curvat
 means and covariances are off by up to a fifth at σ = 0.3 rad. Maps are still better than with a single Gaussian.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -18,8 +18,6 @@ and `MEMORY` allow. `effort.limit_hit` is set where a bound may have excluded an
 candidates starts no feature.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

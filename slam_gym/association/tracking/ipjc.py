@@ -14,8 +14,6 @@ G the 4 × 4 matrix of the products of these four vectors, whitened by S_{H|θ},
     D²_H = min over φ of φ²/σ² + qᵀ G q.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ The search is depth first. As in a `tree.Node`, every candidate that may still f
 kept conditioned on H. A stack holds these for each number of pairings on the path, so that the search can step back.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

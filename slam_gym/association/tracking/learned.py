@@ -6,8 +6,6 @@ seen, and what fraction of the scan is unexplained. Its weights ship with the pa
 reproduce associator` trains them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

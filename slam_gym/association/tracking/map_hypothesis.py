@@ -3,8 +3,6 @@
 The density is defined in `hypotheses`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -23,8 +23,6 @@ With poor odometry the heading is uncertain too. Where it is too uncertain for t
 narrow ones (`headings`), and the hypotheses are those of all of them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ the measurements that are still unpaired. It keeps the pairings of the first as 
 restricts the later ones to its locality. Without localities, one search offers all features.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

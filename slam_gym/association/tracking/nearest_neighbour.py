@@ -1,7 +1,5 @@
 """Associators that judge each pairing alone: nearest neighbour, singles, and global nearest neighbour."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym._jit import compiled

@@ -15,8 +15,6 @@ or of how an input is computed, requires a new `VERSION`, which refuses the ship
 again.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

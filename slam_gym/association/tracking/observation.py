@@ -3,8 +3,6 @@
 Values without a bound are squashed: v / (|v| + scale), which is 0 at 0 and ±½ at ±scale.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

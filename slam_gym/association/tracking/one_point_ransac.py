@@ -1,7 +1,5 @@
 """1-point RANSAC: one pairing updates the pose, and the measurements that agree with the updated pose are counted."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

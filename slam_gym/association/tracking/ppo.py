@@ -11,8 +11,6 @@ and the legal branch of the greatest score is taken. Every candidate passes thro
 any number of them. It runs as plain numpy: no learning library is needed.
 """
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

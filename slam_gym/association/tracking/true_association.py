@@ -1,7 +1,5 @@
 """The only associator that uses the truth, as an upper bound for all others."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_gym.association.prediction import Prediction

@@ -1,7 +1,5 @@
 """The interpretation tree as a learner sees it: one walk from the root to a leaf, decision by decision."""
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Literal, get_args

@@ -18,8 +18,6 @@ the two parts the one with fewer features in the circle around its paired ones h
 paired.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

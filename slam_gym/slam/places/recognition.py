@@ -17,8 +17,6 @@ the number expected by chance, which is the number that the same search finds fo
 The more places a building has, the more alike are some of them: a search among many features must find more pairs.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -12,8 +12,6 @@ optimistic, so its standard deviations are multiplied by `RecognitionSpec.inflat
 adds, given the others, is (Qν)_iᵀ Q_ii⁻¹ (Qν)_i, of 2 degrees of freedom.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
