@@ -7,7 +7,6 @@ plan, start, generator state and actions give the same trajectory, bit for bit.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pymunk
@@ -23,7 +22,7 @@ _GRAVITY = 9.81  # [m/s²]
 _OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any further overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
-_ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
+_ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # categories of the shape filter
 
 
 @dataclass(frozen=True)
@@ -60,14 +59,6 @@ class Motion:
     moved: Array  # (3,) [m, m, rad] pose at the end of the tick, in R at the tick's start
     wheels: Array  # (3,) [m, m, rad] the same by the turning of the wheels; it differs where they slipped
     contact: bool  # the robot touched something during the tick
-
-
-class _Contacts:
-    """What the collision callbacks record; separate from World, so that the space does not keep its world alive."""
-
-    robot = 0  # bodies that touch the robot now
-    robot_in_tick = False  # something touched it during this tick
-    furniture = False  # something touched furniture since all of it came to rest
 
 
 class _Wheels:
@@ -127,8 +118,7 @@ class World:
             raise ValueError(f"start must be a finite pose (3,), not {start}")
         self.robot, self.dynamics, self._rng = robot, dynamics, rng
         self._step = dynamics.tick / dynamics.substeps
-        self._contacts = _Contacts()
-        self._space = _empty_space(self._step, self._contacts)
+        self._space = _empty_space(self._step)
         self._add_walls(plan.walls)
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
         self.furniture_segments = outlines(self.furniture)  # (4f, 4) [m] W its sides
@@ -153,19 +143,25 @@ class World:
             if math.isnan(forward) or math.isnan(turn):
                 raise ValueError(f"action ({forward}, {turn}) is not a number")
             forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
-        before, wheels, contacts = self.pose, self._wheels, self._contacts
+        before, wheels, contact = self.pose, self._wheels, self._touches()
         wheels.odometry = (0.0, 0.0, 0.0)
-        contacts.robot_in_tick = contacts.robot > 0
         self._people.walk(self.dynamics.tick, before[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
         for _ in range(self.dynamics.substeps):
             wheels.push(forward, turn)
             self._space.step(self._step)
+            contact = contact or self._touches()
         self._update_pose()
-        if contacts.furniture:
+        if not all(piece.is_sleeping for piece in self._pieces):
             self._follow_furniture()
-        return Motion(relative(before, self.pose), np.array(wheels.odometry), contacts.robot_in_tick)
+        return Motion(relative(before, self.pose), np.array(wheels.odometry), contact)
+
+    def _touches(self) -> bool:
+        """Whether something touches the robot now."""
+        touching: list[pymunk.Arbiter] = []
+        self._body.each_arbiter(touching.append)
+        return bool(touching)
 
     def _update_pose(self) -> None:
         x, y = self._body.position
@@ -182,15 +178,13 @@ class World:
         self._update_pose()
 
     def _follow_furniture(self) -> None:
-        """Read the furniture's poses from pymunk, until all of it sleeps. Arrays returned earlier stay unchanged."""
-        furniture, moving = self.furniture.copy(), False
+        """Read the poses of the furniture that moves. Arrays returned earlier stay unchanged."""
+        furniture = self.furniture.copy()
         for row, body in zip(furniture, self._pieces):
             if not body.is_sleeping:
                 row[0], row[1] = body.position
                 row[4] = body.angle
-                moving = True
         self.furniture, self.furniture_segments = furniture, outlines(furniture)
-        self._contacts.furniture = moving
 
     def _add_walls(self, walls: Array) -> None:
         ground = self._space.static_body
@@ -230,32 +224,16 @@ class World:
 
     def _add(self, body: pymunk.Body, shape: pymunk.Shape, kind: int, collides_with: int) -> pymunk.Body:
         shape.friction = self.dynamics.friction
-        shape.collision_type = kind
         shape.filter = pymunk.ShapeFilter(categories=kind, mask=collides_with)
         self._space.add(body, shape)
         return body
 
 
-def _empty_space(step: float, contacts: _Contacts) -> pymunk.Space:
-    """A space in SI units (pymunk's defaults suit pixels) whose callbacks record contacts in `contacts`."""
+def _empty_space(step: float) -> pymunk.Space:
+    """A space in SI units: pymunk's defaults suit pixels."""
     space = pymunk.Space()
     space.collision_slop = _OVERLAP
     space.collision_bias = _OVERLAP_LEFT ** (1.0 / step)
     space.idle_speed_threshold = 0.01  # [m/s]
     space.sleep_time_threshold = 0.3  # [s]
-    space.on_collision(_ROBOT, None, begin=_robot_touches, separate=_robot_lets_go, data=contacts)
-    space.on_collision(_FURNITURE, None, begin=_furniture_touched, data=contacts)
     return space
-
-
-def _robot_touches(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
-    contacts.robot += 1
-    contacts.robot_in_tick = True
-
-
-def _robot_lets_go(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
-    contacts.robot -= 1
-
-
-def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
-    contacts.furniture = True

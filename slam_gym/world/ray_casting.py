@@ -137,35 +137,14 @@ def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: i
 
 
 @compiled
-def _entry(grid: WallGrid, x: float, y: float, dx: float, dy: float) -> float:
-    """t in [0, 1] at which the ray enters the grid's rectangle: 0 if it starts inside, inf if it never enters."""
-    if 0.0 <= x - grid.xmin < grid.cell * grid.columns and 0.0 <= y - grid.ymin < grid.cell * grid.rows:
-        return 0.0
-    enter, leave = 0.0, 1.0
-    pad = _PADDING * grid.cell
-    for axis in range(2):
-        p, d = (x, dx) if axis == 0 else (y, dy)
-        low = grid.xmin if axis == 0 else grid.ymin
-        high = low + grid.cell * (grid.columns if axis == 0 else grid.rows) + pad
-        low -= pad
-        if d == 0.0:
-            if p < low or p > high:
-                return math.inf
-        else:
-            enter = max(enter, min((low - p) / d, (high - p) / d))
-            leave = min(leave, max((low - p) / d, (high - p) / d))
-    return enter if enter <= leave else math.inf
-
-
-@compiled
 def _wall_hit(grid: WallGrid, x: float, y: float, dx: float, dy: float) -> float:
     """Least t in [0, 1] at which (x, y) + t (dx, dy) meets a wall; inf where it meets none."""
-    enter, nearest = _entry(grid, x, y, dx, dy), math.inf
-    if enter == math.inf:
+    nearest = math.inf
+    column, row = math.floor((x - grid.xmin) / grid.cell), math.floor((y - grid.ymin) / grid.cell)
+    if not (0 <= column < grid.columns and 0 <= row < grid.rows):  # seen from outside, every wall is tested
+        for s in range(len(grid.walls)):
+            nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls, s))
         return nearest
-    column = math.floor((x + enter * dx - grid.xmin) / grid.cell)
-    row = math.floor((y + enter * dy - grid.ymin) / grid.cell)
-    column, row = min(max(column, 0), grid.columns - 1), min(max(row, 0), grid.rows - 1)
     step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
     next_x = next_y = across_x = across_y = math.inf  # t at the next border, t from border to border
     if dx != 0.0:
