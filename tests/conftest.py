@@ -14,8 +14,9 @@ TESTS = Path(__file__).parent
 ORDER = (
     "agents/drivers/test_clairvoyant.py",  # compiles the loops of a drive
     "agents/learning/test_associator.py",  # compiles the sums over hypotheses
+    "association/relocation/test_answer.py",  # compiles the searches without a prior
+    "association/test_associators.py",  # compiles the other associators
     "agents/",
-    "association/",
     "test_notebooks.py",  # the longest
 )
 """What comes before all other tests, so that two processes compile different loops and end at about the same time."""
