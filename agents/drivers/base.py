@@ -4,6 +4,7 @@ A new agent is one class with `name`, `action`, `reset` and `act`, and optionall
 is accepted wherever a name is.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast
@@ -19,23 +20,10 @@ Info = Mapping[str, Any]
 
 
 class Agent(Protocol):
-    """The driver of an episode. It sees the observation and the part of `info` that the robot itself could know."""
+    """The driver of an episode. It sees the observation and the part of `info` that the robot itself could know.
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def action(self) -> ActionKind: ...
-
-    def reset(self, seed: int) -> None:
-        """Forget the last episode; all randomness of the next comes from `seed`."""
-
-    def act(self, observation: Observation, info: Info) -> int | NDArray[np.float32]:
-        """The slot of a legal goal (action "goal"), or forward and turning speed in [−1, 1] (action "twist")."""
-
-
-class GoalDriver:
-    """The base class of drivers that choose among goals. A driver without memory need not define `reset`."""
+    Drivers that choose among goals derive from it. One without memory need not define `reset`.
+    """
 
     name: str
     action: ActionKind = "goal"
@@ -44,7 +32,11 @@ class GoalDriver:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode."""
+        """Forget the last episode; all randomness of the next comes from `seed`."""
+
+    @abstractmethod
+    def act(self, observation: Observation, info: Info) -> int | NDArray[np.float32]:
+        """The slot of a legal goal (action "goal"), or forward and turning speed in [−1, 1] (action "twist")."""
 
 
 AGENTS: dict[str, str] = {

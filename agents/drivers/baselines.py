@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
 from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
@@ -18,7 +18,7 @@ OVERHEAD = 5.0  # [ticks] to start and to stop
 LOOK = 32.0  # [ticks] to turn round once
 
 
-class RandomAgent(GoalDriver):
+class RandomAgent(Agent):
     """Chooses a legal goal uniformly at random."""
 
     name = "random"
@@ -30,7 +30,7 @@ class RandomAgent(GoalDriver):
         return int(self._rng.choice(np.flatnonzero(legal_goals(info))))
 
 
-class NearestFrontier(GoalDriver):
+class NearestFrontier(Agent):
     """Chooses the legal frontier with the shortest path (Yamauchi, CIRA 1997). With no frontier left, it stays and
     looks around."""
 
@@ -44,7 +44,7 @@ class NearestFrontier(GoalDriver):
         return int(np.argmin(np.where(frontiers, goals["path"], np.inf)))
 
 
-class Lawnmower(GoalDriver):
+class Lawnmower(Agent):
     """Visits frontiers in lanes back and forth (boustrophedon; Choset 2001): the next frontier ahead in the lane, or
     else one of the nearest lane.
 
@@ -93,7 +93,7 @@ def rates(goals: dict[str, Array]) -> Array:
     return (2.0 * PRIOR_SIGMA**2 * DENSITY * goals["area"] + goals["reduction"]) / ticks
 
 
-class InformationGain(GoalDriver):
+class InformationGain(Agent):
     """Chooses the goal that reduces the uncertainty of the map most per tick: the maximum of
     (2 σ₀² · density · expected new area + expected trace reduction) / ticks.
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
 from agents.drivers.baselines import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.simulation.goals import Tried
@@ -174,7 +174,7 @@ def _normed(arrays: Arrays, name: str, x: Any) -> Any:
 # -- the driver --------------------------------------------------------------------------------------------------------
 
 
-class LearnedDriver(GoalDriver):
+class LearnedDriver(Agent):
     """Chooses the frontier with the highest score, or to look around, once at each place.
 
     With no frontier left, it drives by information gain. It uses only the observation, and counts the ticks that it has
