@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
-from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
 from agents.drivers.baselines import InformationGain
 from slam_gym._jit import compiled
 from slam_gym.envs.observation import unsquash_goals
@@ -38,7 +38,7 @@ Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""
 
 
-class Clairvoyant(GoalDriver):
+class Clairvoyant(Agent):
     """Chooses the goal from which the best tour over the true rooms maps most features in the remaining ticks.
 
     Where no goal leads to further features, it drives by information gain.
@@ -92,10 +92,8 @@ class Clairvoyant(GoalDriver):
 
 def mapped_already(episode: Episode) -> Bits:
     """The features that the map contains."""
-    mapped = np.zeros(len(episode.site.plan.features), np.bool_)
     sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in episode.slam.maps]))
-    mapped[sources[sources >= 0]] = True
-    return bits_of(mapped)
+    return bits_of(np.isin(np.arange(len(episode.site.plan.features)), sources))
 
 
 def worth_of(episode: Episode) -> Array:
@@ -164,11 +162,15 @@ class Ways(NamedTuple):
 
 
 class TrueViews:
-    """Views of one building: `cells` (c, 2) [m] in W, `viewpoints` (v,) among them, and the paths from those."""
+    """Views of one building: `cells` (c, 2) [m] in W, `viewpoints` (v,) among them, and the paths from those.
+
+    From a cell, the observable features are `seen` (c, w) that are near and that no wall hides.
+    """
 
     def __init__(self, site: Site, sensor_range: float) -> None:
         self.cells = site.cells
-        self.seen = _seen_from(site, _SURE * sensor_range)
+        seen = [observable(site.plan, site.index, cell[None], _SURE * sensor_range) for cell in site.cells]
+        self.seen = bits_of(site.observable & np.array(seen))
         self._graph = _graph(self.cells)
         most = int(np.clip(_WORDS // self.seen.size, *_VIEWPOINTS))
         self.viewpoints = _spread(self.cells, most)
@@ -208,12 +210,6 @@ def _graph(cells: Array) -> sparse.csr_matrix:
     corner = beside @ beside == 2.0  # two ways lead there: over either of the cells beside the diagonal
     corner.setdiag(False)
     return side * beside + math.sqrt(2.0) * side * corner
-
-
-def _seen_from(site: Site, reach: float) -> Bits:
-    """(c, w) the observable features within `reach` [m] of each cell of the site that no wall hides."""
-    seen = [observable(site.plan, site.index, cell[None], reach) for cell in site.cells]
-    return bits_of(site.observable & np.array(seen))
 
 
 def _along(before: NDArray[np.int32], seen: Bits, reached: BoolArray) -> Bits:
