@@ -134,7 +134,7 @@ def present(slam: Slam | LocalMapSlam) -> tuple[Array, Array, IntArray]:
     return joined.poses[-1], joined.covariance([len(slam.maps)]), joined.ids
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, seeds=40)
     seeds = 1 if a.quick else a.seeds
     specs = (LoopSpec(side=10),) if a.quick else (LoopSpec(0.5), LoopSpec(), LoopSpec(5.0), LoopSpec(spacing=8.0))
@@ -149,7 +149,3 @@ def main() -> None:
     medians.insert(0, "runs", groups.size())
     closed = groups["duplicates"].apply(lambda counts: proportion(int((counts < CLOSED).sum()), len(counts)))
     table("Medians over the runs", medians.assign(closed=closed).reset_index())
-
-
-if __name__ == "__main__":
-    main()

@@ -55,12 +55,8 @@ def summary(associator: str, seeds: int, q: float, confidence: float) -> Record:
     return row | {"ANEES": float(np.median([run.nees[1:].mean() / 3.0 for run in runs]))}
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, seeds=40)
     seeds = 2 if a.quick else a.seeds
     rows = [summary(name, seeds, q, confidence) for q, confidence in SETTINGS for name in ASSOCIATORS]
     table(f"The corridor; means over {seeds} seeds", rows)
-
-
-if __name__ == "__main__":
-    main()

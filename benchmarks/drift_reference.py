@@ -112,19 +112,15 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, out="drift_reference.csv", compare="", scenarios=SCENARIOS, associators=ASSOCIATORS,
                 worlds=10, jobs=2)  # fmt: skip
     if a.quick:
         print(drive(("drift-2", "jcbb", 0), budget=60))
-        return
+        raise SystemExit
     results = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
     groups = results.groupby(KEYS[:2], sort=False)
     means = groups[MEASURES].mean().round(3).join(groups.apply(sound).rename("sound"))
     table("Means over the worlds", means.reset_index())
     if a.compare:
         table(f"{a.out} − {a.compare}", differences(results, pd.read_csv(a.compare)))
-
-
-if __name__ == "__main__":
-    main()

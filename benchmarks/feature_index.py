@@ -76,7 +76,7 @@ def relocations(index: FeatureIndex, queries: list[tuple[Scan, Array]]) -> Recor
     return times | results.drop(columns="ms").mean().to_dict()
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, sizes=(1_000, 10_000, 100_000), scans=40)
     rng, scans = np.random.default_rng(a.seed), 2 if a.quick else a.scans
     sizes = (300,) if a.quick else a.sizes
@@ -91,7 +91,3 @@ def main() -> None:
             rows.append({"n": n, **kind._asdict(), **relocations(index, queries)})
     table("Building", built)
     table("Relocation by the index", rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -72,7 +72,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, floors=("",), seeds=(0,), associators=ASSOCIATORS, ticks=0, out="")
     out = Path(a.out) if a.out and not a.quick else None
     rows = pd.read_csv(out) if out is not None and out.exists() else pd.DataFrame(columns=KEYS)
@@ -95,7 +95,3 @@ def main() -> None:
                     rows.to_csv(out, index=False, float_format="%.4f")
     table("All", rows)
     table("Means", summary(rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -122,7 +122,7 @@ def compare(scans: list[ClosureScan]) -> list[Record]:
     return sorted(rows, key=lambda row: row["median µs"])
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, features=1000, scans=100)
     rng = np.random.default_rng(a.seed)
     n, scans = (30, 3) if a.quick else (a.features, a.scans)
@@ -131,7 +131,3 @@ def main() -> None:
         drawn = [closure_scan(field, 20, workload, rng) for _ in range(scans)]
         each = np.mean([len(individual(one.scan, one.prediction).slots) / 20 for one in drawn])
         table(f"{workload}, 20 × {n}, {each:.1f} candidates each", compare(drawn))
-
-
-if __name__ == "__main__":
-    main()

@@ -126,7 +126,7 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
             yield {"scenario": scenario, "variant": variant, **means, "difference [95 %]": difference}
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, variants=tuple(VARIANTS), seeds=3, timesteps=400_000, worlds=20, out="")
     names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
     timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
@@ -142,7 +142,3 @@ def main() -> None:
         frame = carry_out(evaluation, drives, Execution(resume=drives.exists())).frame
     frame = frame.assign(variant=frame["name"].map(variants))
     table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))
-
-
-if __name__ == "__main__":
-    main()

@@ -138,7 +138,7 @@ def exponents(attempts: pd.DataFrame, fitted_from: int, seed: int) -> list[Recor
     return rows
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, scans=30, judged=500, largest=12_800)
     scans, judged, largest = (2, 4, 100) if a.quick else (a.scans, a.judged, a.largest)
     sizes = [n for n in (50, 100, 200, 400, 800, 1600, 3200, 6400, 12_800) if n <= largest]
@@ -153,7 +153,3 @@ def main() -> None:
         tried = inside_and_outside(search, "two hops", 100 if a.quick else 400, m, judged, a.seed)
         rows += [{"search": name, "m": m, **count_answers(tried, least)} for least in (None, *range(3, m + 1))]
     table("Answers by the required number of pairings, two hops", rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -127,7 +127,7 @@ def check_covariance(covariance: np.ndarray) -> None:
     assert np.linalg.eigvalsh(correlations)[0] > -1e-9 * len(correlations), "the covariance is not positive"
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, ticks=1_000_000, length=1500, first=0, associator="")
     ticks, length = (200, 20) if a.quick else (a.ticks, a.length)
     total, number, broken = 0, a.first, 0
@@ -156,7 +156,3 @@ def main() -> None:
     print(f"worst tick {worst:.2f} s: {when}")
     too_long, leaks = a.associator != "" and worst > LONGEST_TICK, len(megabytes) >= MIN_EPISODES and growth > GROWTH
     raise SystemExit(int(broken > 0 or too_long or leaks))
-
-
-if __name__ == "__main__":
-    main()

@@ -53,11 +53,11 @@ def logs(whole: Recording, seed: int, count: int) -> Iterator[tuple[str, str, Re
         yield "simulated", f"seed {seed + k}", simulated(whole, best, np.random.default_rng(seed + k))
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, associators=("jcbb", "marginal"), simulated=16, out="")
     folder = data_folder()
     if folder is None:
-        return
+        raise SystemExit
     whole = dlr(folder / "dlr")
     rows = []
     for kind, name, log in [("part", "0 to 60", whole.part(0, 60))] if a.quick else logs(whole, a.seed, a.simulated):
@@ -70,7 +70,3 @@ def main() -> None:
     table("Means", groups[MEASURES].mean().join(groups["duplicates"].max().rename("most")).reset_index())
     if a.out and not a.quick:
         results.to_csv(a.out, index=False, float_format="%.4f")
-
-
-if __name__ == "__main__":
-    main()

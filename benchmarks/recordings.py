@@ -134,11 +134,11 @@ def attempts(place: Place, node_limit: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, scans=120)
     folder = data_folder()
     if folder is None:
-        return
+        raise SystemExit
     scans, limit, steps = (3, 2000, 1200) if a.quick else (a.scans, 20_000, None)
     results = attempts(park(folder / "victoria_park", scans, steps), limit)
     rows, keys = [], ["sizes", "search"]
@@ -150,7 +150,3 @@ def main() -> None:
         row = dict(zip(keys, key)) | count_answers(group, None)
         rows.append(row | group[["nodes", "ms"]].median().to_dict() | {"limit hit": group["limit hit"].sum()})
     table("Localities under the rule, and effort", rows)
-
-
-if __name__ == "__main__":
-    main()

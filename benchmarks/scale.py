@@ -107,7 +107,7 @@ def map_errors(ids: Array, places: Array, features: Array, source: dict[int, int
     return {"off m": math.sqrt(float(np.mean(error**2))), "duplicates": len(ids) - len(np.unique(sources))}
 
 
-def main() -> None:
+if __name__ == "__main__":
     features = (50, 100, 200, 500, 1000, 2000, 5000)
     a = options(__doc__, features=features, steps=15, drives=(500, 1000, 5000), one_map=1000)
     sizes, drives, steps = ((50,), (50,), 3) if a.quick else (a.features, a.drives, a.steps)
@@ -115,7 +115,3 @@ def main() -> None:
     table(f"Steps of {PAIRINGS} pairings by the size of the map; medians", rows)
     rows = [drive(n, per_map, a.seed) for n in drives for per_map in ((None, 100) if n <= a.one_map else (100,))]
     table("Drives over lanes, in one map and in local maps of 100 features", rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -163,7 +163,7 @@ def simulated(kind: LogKind, seed: int) -> Recording:
     return log.every(kind.every)
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, associators=("jcbb", "marginal", CEILING), seeds=4, kinds=tuple(KINDS))
     rows = []
     for (name, kind), seed in product(KINDS.items(), range(a.seed, a.seed + (1 if a.quick else a.seeds))):
@@ -179,7 +179,3 @@ def main() -> None:
             table("", [{name: rows[-1][name] for name in ("associator", "log", "seed", *MEASURES)}])
     groups = pd.DataFrame(rows).groupby(["associator", "log"], sort=False)
     table("Means", groups[MEASURES].mean().join(groups["duplicates"].max().rename("most")).reset_index())
-
-
-if __name__ == "__main__":
-    main()

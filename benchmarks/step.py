@@ -49,7 +49,7 @@ def row(name: str, steps: pd.DataFrame) -> Record:
             "steps/s": 1e6 / middle}  # fmt: skip
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, episodes=5, scenario="office", associator="jcbb")
     overrides = {"budget": 60} if a.quick else {}
     arguments = {"associator": a.associator, "overrides": overrides, "action": "twist", "split": "test"}
@@ -62,7 +62,3 @@ def main() -> None:
     rows = [row("all", steps), row(f"up to {SMALL}", steps[steps["features"] <= SMALL])]
     classes = steps.groupby(pd.cut(steps["features"], EDGES), observed=True)
     table("Steps by the size of the map", rows + [row(str(size), group) for size, group in classes if len(group) >= 50])
-
-
-if __name__ == "__main__":
-    main()

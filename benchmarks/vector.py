@@ -62,14 +62,10 @@ def throughput(
     ]
 
 
-def main() -> None:
+if __name__ == "__main__":
     a = options(__doc__, worlds=8, workers=2, scenario="office", blocks=7)
     worlds, blocks = (2, 1) if a.quick else (a.worlds, a.blocks)
     rows: list[Record] = []
     for action, ticks in (("twist", 100), ("goal", 200)):
         rows += throughput(a.scenario, action, worlds, a.workers, blocks, 5 if a.quick else ticks, a.seed)
     table("Ticks per second", rows)
-
-
-if __name__ == "__main__":
-    main()
