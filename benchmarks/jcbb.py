@@ -52,13 +52,8 @@ class MappedField:
     pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
 
 
-@dataclass(frozen=True)
-class ClosureScan:
-    """One scan to associate."""
-
-    scan: Scan
-    prediction: Prediction
-    truth: IntArray  # (m,) map feature behind each measurement, UNPAIRED where there is none
+ClosureScan = tuple[Scan, Prediction, IntArray]
+"""One scan to associate, and the map feature (m,) behind each measurement, UNPAIRED where there is none."""
 
 
 def mapped_field(n: int, rng: np.random.Generator) -> MappedField:
@@ -76,7 +71,7 @@ def mapped_field(n: int, rng: np.random.Generator) -> MappedField:
         known = rng.permutation(known)[:PAIRED]
         decisions = np.full(len(seen), UNPAIRED)
         decisions[known] = index[seen[known]]
-        scan = noisy(observe(pose, features[seen]), SIGMA, rng)
+        scan = noisy(observe(pose, features[seen]), rng)
         slam_map.update(scan, decisions)
         index[seen[new]] = slam_map.add(scan, new)
     return MappedField(features, slam_map, index, pose)
@@ -97,21 +92,22 @@ def closure_scan(field: MappedField, m: int, workload: str, rng: np.random.Gener
     points = np.concatenate([observe(target, field.features[seen]), clutter(spurious, reach, math.tau, rng)])
     truth = np.concatenate([field.index[seen], np.full(spurious, UNPAIRED)])
     order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    return ClosureScan(noisy(points[order], SIGMA, rng), predict(carried, np.inf), truth[order])
+    return noisy(points[order], rng), predict(carried, np.inf), truth[order]
 
 
-def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
-    return Scan.from_points(points + sigma * rng.standard_normal(points.shape), sigma=sigma)
+def noisy(points: Array, rng: np.random.Generator) -> Scan:
+    return Scan.from_points(points + SIGMA * rng.standard_normal(points.shape), sigma=SIGMA)
 
 
 def compare(scans: list[ClosureScan]) -> list[Record]:
     """The accuracy and time [µs] of every search on the same scans."""
-    rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
+    problems, truths = [(scan, prediction) for scan, prediction, _ in scans], [truth for *_, truth in scans]
+    rows, of_jcbb = [], np.array([fastest(jcbb, *problem) for problem in problems])
     for name, search in ASSOCIATORS.items():
         if name == CEILING:
             continue
-        judged = association_record([search(one.scan, one.prediction) for one in scans], [one.truth for one in scans])
-        times = np.array([fastest(search, one.scan, one.prediction) for one in scans])
+        judged = association_record([search(*problem) for problem in problems], truths)
+        times = np.array([fastest(search, *problem) for problem in problems])
         rows.append({
             "search": name,
             **{name: judged[name] for name in ("exact", "recall", "precision")},
@@ -129,5 +125,5 @@ if __name__ == "__main__":
     field = mapped_field(n, rng)
     for workload in WORKLOADS:
         drawn = [closure_scan(field, 20, workload, rng) for _ in range(scans)]
-        each = np.mean([len(individual(one.scan, one.prediction).slots) / 20 for one in drawn])
+        each = np.mean([len(individual(scan, prediction).slots) / 20 for scan, prediction, _ in drawn])
         table(f"{workload}, 20 × {n}, {each:.1f} candidates each", compare(drawn))
