@@ -19,12 +19,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.mapped_log import map_log
+from agents.evaluation.mapped_log import MappedLog, map_log
 from benchmarks.common import attempt, count_answers, data_folder, options, table
 from slam_gym import Landmarks, Locality, Scan, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
@@ -36,7 +36,7 @@ from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import features_in_view
-from slam_gym.types import Array, IntArray
+from slam_gym.types import Array
 
 KNOWN = 3  # least number of mapped trunks in a scan from inside
 MISLABELLED = 5.0  # [m] a feature this far from the place of its label has another source
@@ -44,21 +44,6 @@ NEAR = 1.0, math.radians(3.0)  # errors are centimetres for right answers, tens 
 
 PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
-
-
-class Place(NamedTuple):
-    """A map with scans to relocate in it."""
-
-    landmarks: Landmarks
-    localities: Mapping[str, Locality | None]
-    scans: Sequence[PlacedScan]
-
-
-class HalfMap(NamedTuple):
-    """The map of the first half of a log, with the labels of its features."""
-
-    positions: Array  # (n, 2) [m]
-    sources: IntArray  # (n,) identity of each feature, that of most of its measurements
 
 
 def spread(items: Sequence[Any], count: int) -> list[Any]:
@@ -71,12 +56,13 @@ def reference(log: Recording) -> Smoothed:
     return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
 
 
-def park(folder: Path, scans: int, steps: int | None) -> Place:
-    """Victoria Park, or its first `steps`, mapped in the first half; up to `scans` scans inside, as many outside."""
+def park(folder: Path, scans: int, steps: int | None) -> tuple[Landmarks, dict[str, Locality | None], list[PlacedScan]]:
+    """The map of the first half of Victoria Park, or of its first `steps`, its localities by name, and scans of the
+    second half to relocate in it: up to `scans` inside, as many outside."""
     log = victoria_park(folder).part(0, steps)
     optimum, half = reference(log), len(log) // 2
-    first = map_log(log.part(0, half), "jcbb", slam_for(log))
-    slam, mapped = first.slam, HalfMap(first.slam.map.positions, first.features["identity"].to_numpy())
+    mapped = map_log(log.part(0, half), "jcbb", slam_for(log))
+    slam = mapped.slam
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
     chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
     localities: dict[str, Locality | None] = {
@@ -85,26 +71,27 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
         "distance": within(slam.map.positions, 2.0 * log.range),
         "everything": None,
     }
-    return Place(slam.map.landmarks(), localities, chosen)
+    return slam.map.landmarks(), localities, chosen
 
 
-def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
+def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: MappedLog) -> PlacedScan | None:
     """The scan of step k with its pose, or None where it is neither inside nor outside."""
     scan, sources = log.scan(k), log.sources_of(k)
-    known = int(np.isin(sources[sources >= 0], mapped.sources).sum())
+    known = int(np.isin(sources[sources >= 0], mapped.features["identity"]).sum())
     if len(scan) < KNOWN or 0 < known < KNOWN or not (sources >= 0).any():
         return None
     pose = compose(into_map(optimum, mapped, optimum.poses[k], log.range), optimum.poses[k])
-    if known == 0 and len(features_in_view(mapped.positions, pose, log.range, math.pi)):
+    if known == 0 and len(features_in_view(mapped.slam.map.positions, pose, log.range, math.pi)):
         return None
     return scan, pose, known > 0
 
 
-def into_map(optimum: Smoothed, mapped: HalfMap, pose: Array, reach: float) -> Array:
+def into_map(optimum: Smoothed, mapped: MappedLog, pose: Array, reach: float) -> Array:
     """The pose (3,) of the reference frame in the frame of the map, by alignment of the trunks around `pose`."""
-    known = np.isin(mapped.sources, optimum.ids)
-    there = optimum.positions[np.searchsorted(optimum.ids, mapped.sources[known])]
-    here, inliers = mapped.positions[known], np.ones(len(there), bool)
+    identities = mapped.features["identity"].to_numpy()
+    known = np.isin(identities, optimum.ids)
+    there = optimum.positions[np.searchsorted(optimum.ids, identities[known])]
+    here, inliers = mapped.slam.map.positions[known], np.ones(len(there), bool)
     for _ in range(5):
         errors = np.hypot(*(transform(align_se2(there[inliers], here[inliers]), there) - here).T)
         inliers = errors < max(MISLABELLED, 2.0 * float(np.median(errors)))
@@ -119,17 +106,17 @@ def without_sizes(sized: Any) -> Any:
     return replace(sized, sizes=unknown, size_variances=unknown.copy())
 
 
-def attempts(place: Place, node_limit: int) -> pd.DataFrame:
+def attempts(
+    landmarks: Landmarks, localities: Mapping[str, Locality | None], scans: Sequence[PlacedScan], node_limit: int
+) -> pd.DataFrame:
     """The results of every search under every locality on every scan, with sizes and without."""
-    searches = {search.__name__: functools.partial(search, node_limit=node_limit)
-                for search in (gcbb, random_sampling, indexed)}  # fmt: skip
     rows = []
-    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), place.localities):
-        landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
-        for scan, pose, inside in place.scans:
-            shown = scan if sizes else without_sizes(scan)
-            answer, record = attempt(search, shown, landmarks, place.localities[locality])
-            key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
+    for sizes, search, locality in itertools.product((True, False), (gcbb, random_sampling, indexed), localities):
+        limited = functools.partial(search, node_limit=node_limit)
+        shown = landmarks if sizes else without_sizes(landmarks)
+        for scan, pose, inside in scans:
+            answer, record = attempt(limited, scan if sizes else without_sizes(scan), shown, localities[locality])
+            key = {"sizes": sizes, "search": search.__name__, "locality": locality, "inside": inside}
             rows.append(key | record | {"right": inside and is_right(answer.pose, pose, *NEAR)})
     return pd.DataFrame(rows)
 
@@ -140,7 +127,7 @@ if __name__ == "__main__":
     if folder is None:
         raise SystemExit
     scans, limit, steps = (3, 2000, 1200) if a.quick else (a.scans, 20_000, None)
-    results = attempts(park(folder / "victoria_park", scans, steps), limit)
+    results = attempts(*park(folder / "victoria_park", scans, steps), limit)
     rows, keys = [], ["sizes", "search"]
     for key, group in results[results["locality"] == "covisibility"].groupby(keys, sort=False):
         rows += [dict(zip(keys, key)) | count_answers(group, least) for least in (None, *range(3, 10))]
