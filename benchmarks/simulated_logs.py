@@ -26,7 +26,7 @@ from agents.evaluation.mapped_log import associations, compare, map_log
 from benchmarks.common import options, table
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.metrics.map_quality import ate
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, starts_of
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.slam.relocate import SEARCH
@@ -150,12 +150,11 @@ def simulated(kind: LogKind, seed: int) -> Recording:
         ranges.append(np.concatenate([np.maximum(r, 0.1), reach * np.sqrt(rng.uniform(0.01, 1.0, count))]))
         bearings.append(np.concatenate([beta, rng.uniform(-side, side, count)]))
         sources.append(np.concatenate([seen, np.full(count, SPURIOUS)]))
-    starts = np.concatenate([[0], np.cumsum([len(rows) for rows in sources])])
     claimed, times = (kind.claimed * range_sigma, kind.claimed * bearing_sigma), np.arange(len(poses))
     scans = Scan.from_polar(np.concatenate(ranges), np.concatenate(bearings), *claimed)
     log = Recording(
         name="simulated", source="simulated", terms="", times=0.25 * times, motions=motions,
-        motion_covariances=covariances, starts=starts.astype(np.int64), points=scans.points,
+        motion_covariances=covariances, starts=starts_of([len(rows) for rows in sources]), points=scans.points,
         covariances=scans.covariances, sources=np.concatenate(sources).astype(np.int64), reference_times=0.25 * times,
         reference_poses=poses, landmark_ids=np.arange(len(landmarks)), landmarks=landmarks, range=reach,
         field_of_view=2.0 * side,
