@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.record_decisions import EpisodeDecisions, decisions
+from agents.record_decisions import decisions
+from slam_gym.types import IntArray
 
 T = TypeVar("T")
 
@@ -62,38 +63,30 @@ def figure(values: Sequence[float], error: float = 0.0) -> dict[str, float]:
 
 # -- behaviour cloning -------------------------------------------------------------------------------------------------
 
-Batch = tuple[dict[str, Tensor], Tensor, Tensor]
-"""Observations, masks and actions of b decisions."""
-
 
 def clone(policy: Any, envs: Iterable[gym.Env[Any, Any]], associator: str, seed: int) -> list[float]:
     """Fit a policy of Stable-Baselines3 to the decisions of an associator in each environment, of which
     `true_association` decides by the truth. Returns the mean −log p of these decisions after each epoch. Raises
     ValueError for an unknown associator."""
     worlds = range(FIRST_WORLD, FIRST_WORLD + EPISODES)
-    batches = _batches([own for env in envs for own in decisions(env, associator, worlds)], seed)
-
-    def surprise(batch: Batch) -> Tensor:
-        observations, masks, actions = batch
-        _, log_probability, _ = policy.evaluate_actions(observations, actions, action_masks=masks)
-        return -log_probability.mean()
-
-    def judge() -> float:
-        return float(np.mean([float(surprise(batch)) for batch in batches]))
-
-    epochs = max(_STEPS // len(batches), 1)
-    return fit(list(policy.parameters()), batches, surprise, judge, epochs, _RATE, np.random.default_rng(seed))
-
-
-def _batches(decided: list[EpisodeDecisions], seed: int) -> list[Batch]:
-    masks, actions = (np.concatenate([getattr(own, name) for own in decided]) for name in ("masks", "actions"))
+    decided = [own for env in envs for own in decisions(env, associator, worlds)]
+    masks, actions = (
+        torch.as_tensor(np.concatenate([getattr(own, name) for own in decided])) for name in ("masks", "actions")
+    )
     observations = {
         name: torch.as_tensor(np.concatenate([own.observations[name][:-1] for own in decided]))
         for name in decided[0].observations
     }
     order = np.random.default_rng(seed).permutation(len(actions))
-    return [
-        ({name: part[rows] for name, part in observations.items()}, torch.as_tensor(masks[rows]),
-         torch.as_tensor(actions[rows]))
-        for rows in np.array_split(order, max(len(order) // _BATCH, 1))
-    ]  # fmt: skip
+    batches = np.array_split(order, max(len(order) // _BATCH, 1))
+
+    def surprise(rows: IntArray) -> Tensor:
+        seen = {name: part[rows] for name, part in observations.items()}
+        _, log_probability, _ = policy.evaluate_actions(seen, actions[rows], action_masks=masks[rows])
+        return -log_probability.mean()
+
+    def judge() -> float:
+        return float(np.mean([float(surprise(rows)) for rows in batches]))
+
+    epochs = max(_STEPS // len(batches), 1)
+    return fit(list(policy.parameters()), batches, surprise, judge, epochs, _RATE, np.random.default_rng(seed))
