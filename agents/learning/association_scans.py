@@ -62,8 +62,10 @@ class Decisions(NamedTuple):
 def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Decisions | None:
     """The example made of a scan, or None where it has no pairing, or no measurement whose right decision is known."""
     parts = examples(scan, prediction, width=WIDTH, margin=MARGIN)
-    counts = [len(part.inputs) for part in parts]
-    measured, rows = (np.concatenate([getattr(part, name) for part in parts]) for name in ("measured", "rows"))
+    inputs, measured, rows, scores = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("inputs", "measured", "rows", "log_densities")
+    )
     sources, labelled = truth.sources, truth.sources != UNLABELLED
     right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
     unpaired = labelled & (truth.right == UNPAIRED)
@@ -71,19 +73,15 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     known = unpaired | (labelled & offered)
     if not known.any() or not len(measured):
         return None
-    hypotheses, first = [], 0
-    for part, count in zip(parts, counts):
-        number = np.full((len(scan), len(prediction) + 1), UNPAIRED)  # row UNPAIRED is the last column
-        number[part.measured, part.rows] = np.arange(first, first + count)
-        hypotheses.append(number[np.arange(len(scan)), part.hypotheses])
-        first += count
-    scores = np.concatenate([part.log_densities for part in parts])
+    width = len(prediction) + 1  # columns of a heading; UNPAIRED is the last one of the heading before
+    slots = rows + np.repeat(width * np.arange(len(parts)), [len(part.rows) for part in parts])
+    number = np.full((len(scan), width * len(parts)), UNPAIRED)
+    number[measured, slots] = np.arange(len(slots))
     best = np.argsort(-scores, kind="stable")[:_MOST]
     best = best[scores[best] > scores[best[0]] - MARGIN]
-    offset = np.repeat(np.arange(len(parts)), counts) * (len(prediction) + 1)
-    inputs, kept = np.concatenate([part.inputs for part in parts]).astype(np.float32), np.concatenate(hypotheses)[best]
-    kept_scores = scores[best].astype(np.float32)
-    return Decisions(inputs, measured, rows + offset, right, kept, kept_scores, unpaired, known)
+    kept = np.concatenate([part.hypotheses + width * k for k, part in enumerate(parts)])[best]
+    hypotheses, kept_scores = number[np.arange(len(scan)), kept], scores[best].astype(np.float32)
+    return Decisions(inputs.astype(np.float32), measured, slots, right, hypotheses, kept_scores, unpaired, known)
 
 
 def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
@@ -113,11 +111,6 @@ class Source:
     world: int
     associator: str = "marginal"  # that makes the map of a drive or a log
     hidden: tuple[str, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """Its name on the card of the weights."""
-        return f"recording:{self.name}" if self.kind == "log" else self.name
 
     def scans(self, count: int = 12) -> Iterator[Decisions]:
         """The examples of its scans; of a level, up to `count`."""

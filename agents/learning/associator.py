@@ -94,8 +94,8 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         pass
     else:
         metrics["cross-entropy held out, the weights that ship"] = figure([mean_loss(tensors(shipped), held_out)])
-    names = tuple(dict.fromkeys(source.title for source in trained_on))
-    card = Card(VERSION, INPUTS, {}, names, tuple(plan.seeds), command, metrics)
+    names = dict.fromkeys(f"recording:{own.name}" if own.kind == "log" else own.name for own in trained_on)
+    card = Card(VERSION, INPUTS, {}, tuple(names), tuple(plan.seeds), command, metrics)
     best = min(fits, key=lambda one: one[0])[-1]
     return Weights(card, {name: tensor.detach().numpy() for name, tensor in best._asdict().items()})
 
