@@ -60,12 +60,10 @@ truth."""
 LOOK_AROUND = 0
 """The goal that is always legal."""
 
-_VISIBLE = ("pose", "ticks", "action_mask")
-
 
 def visible(info: Info) -> dict[str, Any]:
     """The part of `info` that an agent may see, which depends on no truth."""
-    return {key: info[key] for key in _VISIBLE if key in info}
+    return {key: info[key] for key in ("pose", "ticks", "action_mask") if key in info}
 
 
 def find_agent(name: str) -> Any:

@@ -65,11 +65,11 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         network, curve = trained(plan, train, held_out, seed)
         members.append(network)
         say(f"seed {seed}: regret held out [.01 E], by epoch: {' '.join(f'{loss:.3f}' for loss in curve)}")
-    of_each, of_all = scores_of(members, held_out), scores_of(members, train).mean(axis=0)
+    of_each, of_train = (np.stack([scores(own, part.tokens) for own in members]) for part in (held_out, train))
     metrics = {
         "regret held out, of one network [.01 E]": _figure([regret_of(own, held_out) for own in of_each]),
         "regret held out [.01 E]": _figure([regret_of(of_each.mean(axis=0), held_out)]),
-        "regret trained on [.01 E]": _figure([regret_of(of_all, train)]),
+        "regret trained on [.01 E]": _figure([regret_of(of_train.mean(axis=0), train)]),
         "regret held out, of the greedy driver [.01 E]": _figure([regret_of(held_out.greedy, held_out)]),
         "states": figure([float(len(train) + len(held_out))]),
     }
@@ -178,11 +178,6 @@ def loss_of(scored: Tensor, batch: Examples) -> Tensor:
     errors = (scored - batch.values).masked_fill(~legal, 0.0)
     errors = (errors - errors.sum(dim=1, keepdim=True) / legal.sum(dim=1, keepdim=True)).masked_fill(~legal, 0.0)
     return nn.functional.huber_loss(errors, torch.zeros_like(errors), reduction="sum", delta=_LINEAR) / len(errors)
-
-
-def scores_of(members: Sequence[Arrays], examples: Examples) -> Array:
-    """(members, n, k) the scores by each network."""
-    return np.stack([scores(member, examples.tokens) for member in members])
 
 
 def regret_of(scored: Array, examples: Examples) -> Array:

@@ -154,14 +154,10 @@ class ChoicePolicy(MaskableMultiInputActorCriticPolicy):
 def policy_of(action: Decision, actions: int, hyper: Hyperparameters) -> tuple[type[ActorCriticPolicy], dict[str, Any]]:
     """Class and further arguments of a policy, from which both trainer and loader build it."""
     if action == "twist":
-        extractor = {"cnn_output_dim": hyper.width}
-        return MultiInputActorCriticPolicy, {
-            "features_extractor_kwargs": extractor, "net_arch": [hyper.hidden, hyper.hidden],
-        }  # fmt: skip
+        extractor, layers = {"cnn_output_dim": hyper.width}, [hyper.hidden, hyper.hidden]
+        return MultiInputActorCriticPolicy, {"features_extractor_kwargs": extractor, "net_arch": layers}
     scorer = {"decision": action, "actions": actions, "width": hyper.width, "hidden": hyper.hidden}
-    return ChoicePolicy, {
-        "features_extractor_class": ChoiceScorer, "features_extractor_kwargs": scorer, "net_arch": [],
-    }  # fmt: skip
+    return ChoicePolicy, {"features_extractor_class": ChoiceScorer, "features_extractor_kwargs": scorer, "net_arch": []}
 
 
 def make_algorithm(action: Decision, env: Any, hyper: Hyperparameters, seed: int) -> PPO | MaskablePPO:
