@@ -38,34 +38,24 @@ def blocks_of(envs: Any, ticks: int, seed: int) -> Iterator[float]:
         yield done / (time.perf_counter() - start)
 
 
-def throughput(
-    scenario: str, action: str, worlds: int, workers: int, blocks: int, ticks: int, seed: int
-) -> list[Record]:
-    """The rates of one world and of many, in this process and in others, without the first block, which compiles."""
-    arguments = {"scenario": scenario, "action": action, "associator": "jcbb"}
-    native = {"vectorization_mode": "vector_entry_point", **arguments}
-    kinds = {
-        "1 world": gym.make_vec(ID, 1, workers=0, **native),
-        f"{worlds} worlds, this process": gym.make_vec(ID, worlds, workers=0, **native),
-        f"{worlds} worlds, {workers} workers": gym.make_vec(ID, worlds, workers=workers, **native),
-        f"{worlds} worlds, Gymnasium's sync": gym.make_vec(ID, worlds, vectorization_mode="sync", **arguments),
-        f"{worlds} worlds, Gymnasium's async": gym.make_vec(ID, worlds, vectorization_mode="async", **arguments),
-    }
-    runs = [blocks_of(envs, ticks * envs.num_envs, seed) for envs in kinds.values()]
-    rates = np.array([[next(run) for run in runs] for _ in range(blocks + 1)])
-    medians = dict(zip(kinds, np.median(rates[1:], axis=0).tolist()))
-    for envs in kinds.values():
-        envs.close()
-    return [
-        {"action": action, "": name, "ticks/s": rate, "of one world": rate / medians["1 world"]}
-        for name, rate in medians.items()
-    ]
-
-
 if __name__ == "__main__":
     a = options(__doc__, worlds=8, workers=2, scenario="office", blocks=7)
-    worlds, blocks = (2, 1) if a.quick else (a.worlds, a.blocks)
+    n, blocks = (2, 1) if a.quick else (a.worlds, a.blocks)
     rows: list[Record] = []
     for action, ticks in (("twist", 100), ("goal", 200)):
-        rows += throughput(a.scenario, action, worlds, a.workers, blocks, 5 if a.quick else ticks, a.seed)
+        arguments = {"scenario": a.scenario, "action": action, "associator": "jcbb"}
+        native = {"vectorization_mode": "vector_entry_point", **arguments}
+        kinds = {
+            "1 world": gym.make_vec(ID, 1, workers=0, **native),
+            f"{n} worlds, this process": gym.make_vec(ID, n, workers=0, **native),
+            f"{n} worlds, {a.workers} workers": gym.make_vec(ID, n, workers=a.workers, **native),
+            f"{n} worlds, Gymnasium's sync": gym.make_vec(ID, n, vectorization_mode="sync", **arguments),
+            f"{n} worlds, Gymnasium's async": gym.make_vec(ID, n, vectorization_mode="async", **arguments),
+        }
+        runs = [blocks_of(envs, (5 if a.quick else ticks) * envs.num_envs, a.seed) for envs in kinds.values()]
+        rates = np.array([[next(run) for run in runs] for _ in range(blocks + 1)])
+        medians = np.median(rates[1:], axis=0).tolist()  # without the first block, which compiles
+        for (name, envs), rate in zip(kinds.items(), medians):
+            envs.close()
+            rows.append({"action": action, "": name, "ticks/s": rate, "of one world": rate / medians[0]})
     table("Ticks per second", rows)
