@@ -51,10 +51,9 @@ class Decisions(NamedTuple):
     inputs: NDArray[np.float32]  # (c, inputs)
     measured: IntArray  # (c,)
     slots: IntArray  # (c,) the feature, numbered apart in each narrow heading
-    right: BoolArray  # (c,) the pairing is right
     hypotheses: IntArray  # (b, m) the pairing of each measurement, or UNPAIRED
     scores: NDArray[np.float32]  # (b,) log densities by the model, without the network
-    unpaired: BoolArray  # (m,) leaving the measurement unpaired is right
+    agreed: BoolArray  # (b, m) the decision of the hypothesis on the measurement is right
     known: BoolArray  # (m,) the right decision is known, and among those of the hypotheses
     weight: float = 1.0  # of the scan in the loss
 
@@ -80,8 +79,10 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     best = np.argsort(-scores, kind="stable")[:_MOST]
     best = best[scores[best] > scores[best[0]] - MARGIN]
     kept = np.concatenate([part.hypotheses + width * k for k, part in enumerate(parts)])[best]
-    hypotheses, kept_scores = number[np.arange(len(scan)), kept], scores[best].astype(np.float32)
-    return Decisions(inputs.astype(np.float32), measured, slots, right, hypotheses, kept_scores, unpaired, known)
+    hypotheses = number[np.arange(len(scan)), kept]
+    agreed = np.where(hypotheses == UNPAIRED, unpaired, right[hypotheses])
+    kept_scores = scores[best].astype(np.float32)
+    return Decisions(inputs.astype(np.float32), measured, slots, hypotheses, kept_scores, agreed, known)
 
 
 def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
@@ -173,6 +174,5 @@ def _log(name: str) -> ScanLog:
 def _doubtful(d: Decisions) -> bool:
     """Whether the scan is ambiguous for the model, or the best hypothesis of the model is wrong."""
     weights = np.exp(d.scores - d.scores.max())
-    best = d.hypotheses[np.argmax(weights)]
-    right = np.where(best < 0, d.unpaired, np.append(d.right, False)[best])
-    return bool(weights.max() < (1.0 - _DOUBT) * weights.sum() or not right[d.known].all())
+    best = d.agreed[np.argmax(weights)]
+    return bool(weights.max() < (1.0 - _DOUBT) * weights.sum() or not best[d.known].all())

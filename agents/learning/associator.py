@@ -187,8 +187,7 @@ class Batch(NamedTuple):
             _padded([np.where(d.hypotheses == UNPAIRED, ends[-1, 0], d.hypotheses + first)
                      for d, first in zip(scans, pairings)], ends[-1, 0]),
             _padded([d.scores for d in scans], -math.inf),
-            _padded([np.where(d.hypotheses == UNPAIRED, d.unpaired, np.append(d.right, False)[d.hypotheses])
-                     for d in scans], False),
+            _padded([d.agreed for d in scans], False),
             _padded([np.float32(d.weight) * d.known / d.known.sum(dtype=np.float32) for d in scans], 0.0),
         )  # fmt: skip
 

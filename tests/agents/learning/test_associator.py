@@ -61,7 +61,8 @@ def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     far = int(np.argmax(np.hypot(*(prediction.positions - scan.points[0]).T)))
     sources = np.array([far, UNLABELLED, SPURIOUS, SPURIOUS, SPURIOUS, SPURIOUS])
     found = decisions_of(scan, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8)))
-    assert found.known.tolist() == [False, False, True, True, True, True] and not found.right.any()
+    assert found.known.tolist() == [False, False, True, True, True, True]
+    assert not found.agreed[found.hypotheses != UNPAIRED].any()
     elsewhere = dataclasses.replace(
         scan, points=scan.points + 1e3
     )  # compatible with nothing: there is nothing to learn
