@@ -6,7 +6,7 @@ from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goa
 from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
-from slam_gym.types import Array, IntArray
+from slam_gym.types import Array
 
 LANE_WIDTH = 4.0  # [m] lanes run along the x axis of the map base B
 
@@ -60,15 +60,12 @@ class Lawnmower(Agent):
 
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
-        legal = legal_goals(info)
-        for wanted in (goals["frontier"] > 0.5, goals["revisit"] > 0.5):
-            if (legal & wanted).any():
-                return self._next(goals, np.flatnonzero(legal & wanted), np.asarray(info["pose"], dtype=float))
-        return LOOK_AROUND
-
-    def _next(self, goals: dict[str, Array], slots: IntArray, pose: Array) -> int:
-        in_robot = np.ascontiguousarray(np.column_stack([goals["x"][slots], goals["y"][slots]]), dtype=float)
-        in_base = transform(pose, in_robot)
+        frontiers, revisits = (legal_goals(info) & (goals[kind] > 0.5) for kind in ("frontier", "revisit"))
+        slots = np.flatnonzero(frontiers if frontiers.any() else revisits)
+        if not len(slots):
+            return LOOK_AROUND
+        pose = np.asarray(info["pose"], float)
+        in_base = transform(pose, np.column_stack([goals["x"][slots], goals["y"][slots]]))
         lanes = np.floor(in_base[:, 1] / LANE_WIDTH + 0.5).astype(int)
         ahead = (in_base[:, 0] - pose[0]) * self._direction
         here = lanes == self._lane
@@ -110,7 +107,7 @@ class InformationGain(Agent):
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
         rate = rates(goals)
-        places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]).astype(float))
+        places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]))
         rate /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
         rate[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0
         chosen = int(np.argmax(np.where(legal_goals(info), rate, -np.inf)))
