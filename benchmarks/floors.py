@@ -75,7 +75,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 if __name__ == "__main__":
     a = options(__doc__, floors=("",), seeds=(0,), associators=ASSOCIATORS, ticks=0, out="")
     out = Path(a.out) if a.out and not a.quick else None
-    rows = pd.read_csv(out) if out is not None and out.exists() else pd.DataFrame(columns=KEYS)
+    rows = pd.read_csv(out, dtype={"floor": str}) if out is not None and out.exists() else pd.DataFrame(columns=KEYS)
     done = set(rows[KEYS].itertuples(index=False, name=None))
     ticks = 60 if a.quick else a.ticks
     for floor in a.floors:
