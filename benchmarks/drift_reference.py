@@ -38,12 +38,9 @@ MEASURES = ["map_error", "map_error_aligned", "batch", "batch_aligned", "duplica
 
 MOST_ERROR, MOST_DUPLICATES = 0.5, 10  # of a sound map
 
-Task = tuple[str, str, int]
 
-
-def drive(task: Task, **overrides: Any) -> Record:
+def drive(scenario: str, associator: str, world: int, **overrides: Any) -> Record:
     """Run one episode; returns its row of the CSV. `overrides` are fields of the scenario to change."""
-    scenario, associator, world = task
     driver = InformationGain()
     env = ExploreArguments(scenario, tuple(overrides.items()), associator=associator).make(driver.action)
     steps: list[tuple[Odometry, Scan, IntArray]] = []
@@ -55,7 +52,7 @@ def drive(task: Task, **overrides: Any) -> Record:
     result = run_episode(env, driver, world)
     errors = {name: result[name] for name in MEASURES[:2]} | batch_errors(env.unwrapped.episode, steps)  # type: ignore[attr-defined]
     counts = {"lost": int(result["map_lost"])} | {name: int(result[name]) for name in ("duplicates", "missed_loop")}
-    return dict(zip(KEYS, task)) | errors | counts | {"seconds": round(result["seconds"], 2)}
+    return dict(zip(KEYS, (scenario, associator, world))) | errors | counts | {"seconds": round(result["seconds"], 2)}
 
 
 def batch_errors(episode: Episode, steps: list[tuple[Odometry, Scan, IntArray]]) -> Record:
@@ -76,11 +73,11 @@ def batch_errors(episode: Episode, steps: list[tuple[Odometry, Scan, IntArray]])
     return {"batch": map_error(mapped, episode.targets, sigma0), "batch_aligned": aligned}
 
 
-def drive_all(tasks: list[Task], out: Path, jobs: int) -> pd.DataFrame:
+def drive_all(tasks: list[tuple[str, str, int]], out: Path, jobs: int) -> pd.DataFrame:
     """The rows of all tasks. Drives those that are not in `out`, and writes each when it is finished."""
     rows: list[Record] = pd.read_csv(out).to_dict("records") if out.exists() else []
     known = {tuple(row[key] for key in KEYS) for row in rows}
-    for row in run_all([partial(drive, task) for task in tasks if task not in known], jobs):
+    for row in run_all([partial(drive, *task) for task in tasks if task not in known], jobs):
         rows.append(row)
         pd.DataFrame(rows).to_csv(out, index=False)
         print(*row.values(), flush=True)
@@ -116,7 +113,7 @@ if __name__ == "__main__":
     a = options(__doc__, out="drift_reference.csv", compare="", scenarios=SCENARIOS, associators=ASSOCIATORS,
                 worlds=10, jobs=2)  # fmt: skip
     if a.quick:
-        print(drive(("drift-2", "jcbb", 0), budget=60))
+        print(drive("drift-2", "jcbb", 0, budget=60))
         raise SystemExit
     results = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
     groups = results.groupby(KEYS[:2], sort=False)
