@@ -6,6 +6,7 @@ associator associator.npz, its last weights as plain arrays.
 """
 
 import contextlib
+import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -24,7 +25,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from threadpoolctl import threadpool_limits
 
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, reset_arguments
 from agents.evaluation.records import command_line, plain, versions
 from agents.learning.cloning import clone
 from agents.learning.policies import (
@@ -63,12 +64,10 @@ class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, decision: Decision, arguments: Arguments, count: int) -> None:
         super().__init__(make(decision, replace(arguments, split="test")))
-        self._count, self._next = count, 0
+        self._worlds = itertools.cycle(range(HELD_OUT, HELD_OUT + count))
 
     def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
-        world = HELD_OUT + self._next % self._count
-        self._next += 1
-        return self.env.reset(seed=world, options={"world": world})
+        return self.env.reset(**reset_arguments(next(self._worlds)))
 
 
 class EndsAstray(gym.Wrapper[Any, Any, Any, Any]):
