@@ -14,6 +14,7 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from slam_gym import Landmarks, Locality, Scan
+from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.types import Array, Relocation, Relocator
 
 Record = dict[str, Any]
@@ -103,6 +104,12 @@ def count_answers(attempts: pd.DataFrame, required: int | None) -> Record:
     counts = {name: int(rows.sum()) for name, rows in outcomes.items()}
     share = proportion(counts["outside: wrong"], int((~inside).sum()))
     return {"asked": "the rule" if required is None else f"≥ {required}", **counts, "wrong of outside": share}
+
+
+def mean_interval(values: Array, rng: np.random.Generator, sign: str = "") -> str:
+    """The mean of values (n,) with its 95 % bootstrap interval, as text; `sign` is "+" for differences."""
+    found = bootstrap_interval(values, rng, statistic=mean)
+    return f"{found.estimate:{sign}.3f} [{found.low:{sign}.3f}, {found.high:{sign}.3f}]"
 
 
 def proportion(count: int, total: int) -> str:

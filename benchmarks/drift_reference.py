@@ -23,11 +23,10 @@ from agents.drivers.baselines import InformationGain
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.mapped_log import final_ids
 from agents.evaluation.pipeline import run_all
-from benchmarks.common import Record, options, table
+from benchmarks.common import Record, mean_interval, options, table
 from slam_gym import Odometry, Scan, smooth
 from slam_gym.geometry import transform
 from slam_gym.metrics.map_quality import map_error, map_error_aligned
-from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 
@@ -101,8 +100,7 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
         for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
             now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
             both = (now - before)[np.isfinite(now - before)]  # without drives that have no batch solution
-            gap = bootstrap_interval(both, np.random.default_rng(0), statistic=mean)
-            row[name] = f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
+            row[name] = mean_interval(both, np.random.default_rng(0), "+")
             row["equal"] = row.get("equal", True) & np.isclose(now, before, rtol=0.0, atol=0.0, equal_nan=True)
         row["equal"] = int(row["equal"].sum())
         rows.append(row)

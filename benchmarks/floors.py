@@ -23,9 +23,8 @@ import numpy as np
 import pandas as pd
 
 from agents.demo import mapped, one_drive
-from benchmarks.common import Record, data_folder, options, table
+from benchmarks.common import Record, data_folder, mean_interval, options, table
 from benchmarks.drift_reference import batch_errors, sound
-from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.quality import quality
@@ -64,11 +63,8 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Means with 95 % bootstrap intervals over the drives of each associator, and how many are sound."""
     found = []
     for associator, drives in rows.groupby("associator", sort=False):
-        row = {"associator": associator, "sound": sound(drives)}
-        for name in SUMMARY:
-            interval = bootstrap_interval(drives[name].dropna().to_numpy(), np.random.default_rng(0), statistic=mean)
-            row[name] = f"{interval.estimate:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
-        found.append(row)
+        means = {name: mean_interval(drives[name].dropna().to_numpy(), np.random.default_rng(0)) for name in SUMMARY}
+        found.append({"associator": associator, "sound": sound(drives), **means})
     return pd.DataFrame(found)
 
 

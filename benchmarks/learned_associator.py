@@ -28,11 +28,10 @@ from agents.evaluation.pipeline import carry_out
 from agents.learning.policies import HYPERPARAMETERS
 from agents.learning.training import WEIGHTS, train
 from agents.options import DRIFTING, Execution, Training
-from benchmarks.common import Record, options, table
+from benchmarks.common import Record, mean_interval, options, table
 from slam_gym import weights
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
-from slam_gym.metrics.statistics import bootstrap_interval, mean
 
 SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
 FIRST_WORLD = 30_000  # of the million of the train split, of which a training draws some hundreds
@@ -120,8 +119,8 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
         for variant, rows in group.groupby("variant", sort=False):
             errors = rows.groupby("episode")["map_error"].mean()
             first = errors if first is None else first
-            gap = bootstrap_interval((errors - first).to_numpy(), rng, statistic=mean)
-            difference = "" if first is errors else f"{gap.estimate:+.3f} [{gap.low:+.3f}, {gap.high:+.3f}]"
+            gap = mean_interval((errors - first).to_numpy(), rng, "+")
+            difference = "" if first is errors else gap
             means = rows[["map_error", "precision", "recall", "duplicates"]].mean()
             yield {"scenario": scenario, "variant": variant, **means, "difference [95 %]": difference}
 
