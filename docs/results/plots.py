@@ -126,9 +126,9 @@ def learned(theme: dict[str, str]) -> Figure:
     driver = driver.loc[["office", "aliased", "hall", "crowd", "drift-2", "drift-3", "all six"]].reset_index()
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
     intervals(left, associator, "difference", rows(left, list(associator["where"])), theme["blue"])
-    left.set(title="Associator: score − baseline", xlabel="better →", xlim=(-0.05, 0.3))
+    left.set(title="Associator", xlabel="score − that of marginal (better →)", xlim=(-0.05, 0.3))
     intervals(right, driver, "difference", rows(right, list(driver["where"])), theme["red"])
-    right.set(title="Driver: map error − baseline", xlabel="← better", xlim=(-0.065, 0.03))
+    right.set(title="Driver", xlabel="map error − that of information gain (← better)", xlim=(-0.065, 0.03))
     for axes in (left, right):
         axes.axvline(0, color=theme["ink"], linewidth=1)
     return figure
@@ -150,7 +150,7 @@ def training(theme: dict[str, str]) -> Figure:
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
         shift = -0.04 if who == "marginal" else 0.0  # so that names do not overlap
         axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
-    axes.set(xlabel="million decisions", ylabel="score", xlim=(0, 2.0), ylim=(-0.8, 1.05))
+    axes.set(xlabel="million decisions", ylabel="score (1: the truth, 0: refuses all)", xlim=(0, 2.0), ylim=(-0.8, 1.05))
     minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))
     minutes.set_xlabel("minutes of one core")
     axes.legend(loc="lower right")
