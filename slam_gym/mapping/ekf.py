@@ -7,7 +7,9 @@ entries beyond d and below the diagonal are meaningless.
 The other properties of features are the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS, and
 `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
 
-The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ. Measurements: `update`.
+The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ.
+
+Here the robot moves, and features are added and removed. The update by measurements is in `update.py`.
 """
 
 import math
