@@ -215,8 +215,8 @@ def _worlds(scenario: Scenario) -> str:
 
 
 def _about(scenario: Scenario) -> str:
-    """The comment behind its name in the registry; empty if there is none."""
-    found = re.search(rf'"{scenario.name}",[^#\n]*# (.+)', inspect.getsource(registry))
+    """The comment above its entry in the registry; empty if there is none."""
+    found = re.search(rf'# (.+)\n\s*\w+\(\s*"{scenario.name}",', inspect.getsource(registry))
     return found[1] if found else ""
 
 

@@ -45,7 +45,6 @@ CROWDED: dict[str, Any] = {
 """People hide features and are mistaken for features, so that a feature needs more sightings to be confirmed."""
 
 _FEW_AND_BAD = SensorSpec(range=3.5, detection=0.7, clutter=1.0, range_sigma=0.05, bearing_sigma=0.03)
-_SHORT_SIGHT = SensorSpec(range=4.0)
 _ROUGH = SensorSpec(range=4.0, range_sigma=0.1, bearing_sigma=0.02)
 _HALL_SENSOR = SensorSpec(range_sigma=0.04, bearing_sigma=0.015)
 _SHORTEST, _LONGEST = 1_000, 100_000  # [ticks] limits of the budget of a floor
@@ -59,56 +58,45 @@ def _drifting(name: str, generator: Any, level: int, budget: int = 450, **change
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
-        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),  # four rooms, for a first try and for tests
-        Scenario("office", OfficeGenerator(), budget=800),  # good odometry: associators differ little, drivers much
-        Scenario("aliased", AliasedGenerator(), budget=800),  # identical rooms, which good odometry tells apart
+        # four rooms, for a first try and for tests
+        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),
+        # good odometry: associators differ little, drivers much
+        Scenario("office", OfficeGenerator(), budget=800),
+        # identical rooms, which good odometry tells apart
+        Scenario("aliased", AliasedGenerator(), budget=800),
+        # long views, and odometry with notable drift
         Scenario(
-            "hall",  # long views, and odometry with notable drift
+            "hall",
             HallGenerator(),
             budget=600,
             sensor=_HALL_SENSOR,
             odometry=OdometrySpec(forward=0.05, turn_per_radian=0.05, turn_per_metre=0.05),
         ),
-        Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),  # six people hide features, or pass for some
+        # six people hide features, or pass for some
+        Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),
+        # carried at half time to a place where it has been
+        Scenario("kidnapped", OfficeGenerator(), budget=800, kidnapping=KidnappingSpec()),
+        # odometry three to five times as bad as that of `office`
+        _drifting("drift-1", OfficeGenerator(), 1),
+        # five to ten times as bad: nearest neighbour fails
+        _drifting("drift-2", OfficeGenerator(), 2),
+        # ten to fifteen times as bad: σ of 8° in a fast turn of a tick
+        _drifting("drift-3", OfficeGenerator(), 3),
+        # identical rooms, which odometry cannot distinguish
+        _drifting("aliased-drift", AliasedGenerator(), 2),
+        # long views, where a wrong heading matters most
+        _drifting("hall-drift", HallGenerator(), 2, sensor=_HALL_SENSOR),
+        # drift, and people mistaken for features
+        _drifting("crowd-drift", OfficeGenerator(), 2, **CROWDED),
+        # drift, and a sensor of short range, few detections and much noise
+        _drifting("sparse", OfficeGenerator(), 2, sensor=_FEW_AND_BAD),
+        # only the return to the start corrects the drift of the map
+        _drifting("loop", LoopGenerator(), 1, budget=900, sensor=SensorSpec(range=4.0)),
+        # a small office, explored at half time: revisits improve its map
+        _drifting("patrol", OfficeGenerator(rooms=6), 1, budget=1_500, sensor=_ROUGH),
+        # large rooms, and a robot that sees across them, the default for floor plan files
         Scenario(
-            "kidnapped",  # carried at half time to a place where it has been
-            OfficeGenerator(),
-            budget=800,
-            kidnapping=KidnappingSpec(),
-        ),
-        _drifting("drift-1", OfficeGenerator(), 1),  # odometry three to five times as bad as that of `office`
-        _drifting("drift-2", OfficeGenerator(), 2),  # five to ten times as bad: nearest neighbour fails
-        _drifting("drift-3", OfficeGenerator(), 3),  # ten to fifteen times as bad: σ of 8° in a fast turn of a tick
-        _drifting("aliased-drift", AliasedGenerator(), 2),  # identical rooms, which odometry cannot distinguish
-        _drifting(
-            "hall-drift",  # long views, where a wrong heading matters most
-            HallGenerator(),
-            2,
-            sensor=_HALL_SENSOR,
-        ),
-        _drifting("crowd-drift", OfficeGenerator(), 2, **CROWDED),  # drift, and people mistaken for features
-        _drifting(
-            "sparse",  # drift, and a sensor of short range, few detections and much noise
-            OfficeGenerator(),
-            2,
-            sensor=_FEW_AND_BAD,
-        ),
-        _drifting(
-            "loop",  # only the return to the start corrects the drift of the map
-            LoopGenerator(),
-            1,
-            budget=900,
-            sensor=_SHORT_SIGHT,
-        ),
-        _drifting(
-            "patrol",  # a small office, explored at half time: revisits improve its map
-            OfficeGenerator(rooms=6),
-            1,
-            budget=1_500,
-            sensor=_ROUGH,
-        ),
-        Scenario(
-            "building",  # large rooms, and a robot that sees across them, the default for floor plan files
+            "building",
             _LARGE_ROOMS,
             budget=3_000,
             slam=SlamSpec(
@@ -121,11 +109,8 @@ SCENARIOS: dict[str, Scenario] = {
             beams=BeamSpec(count=90, range=20.0),
             wall_compass=True,  # in a hall without features in view, the walls still determine the heading
         ),
-        Scenario(
-            "short-sighted",  # rooms of `building`, whose middle the robot of `office` does not see: driving matters
-            _LARGE_ROOMS,
-            budget=5_000,
-        ),
+        # rooms of `building`, whose middle the robot of `office` does not see: driving matters
+        Scenario("short-sighted", _LARGE_ROOMS, budget=5_000),
     )
 }
 """The scenarios by name, without the levels of the suite (`slam_gym.scenarios.suite`), which are known by their ids."""

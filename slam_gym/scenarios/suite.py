@@ -44,9 +44,6 @@ class Level:
         return min(1.5, self.scenario.sensor.range / 4.0)
 
 
-_FAIR = (0.08, math.radians(1.0))
-
-
 @dataclass(frozen=True)
 class Experiment:
     """A capability, the knob that tests it, and its levels from easy to hard."""
@@ -57,7 +54,7 @@ class Experiment:
     axis: str  # name of the knob, with its unit
     knobs: tuple[float, ...]
     scenario: Callable[[float], Scenario]  # for a knob
-    blind: Callable[[float], tuple[float, float]] = lambda knob: _FAIR  # `Level.blind` for a knob
+    blind: Callable[[float], tuple[float, float]] = lambda knob: (0.08, math.radians(1.0))  # `Level.blind` for a knob
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
@@ -108,10 +105,6 @@ def _rooms_at_pitch(pitch: float) -> Scenario:
 def _posts(density: float) -> Scenario:
     reach = math.sqrt(_IN_SIGHT / (0.5 * _SENSOR.field_of_view * density))
     return replace(_OFFICE, generator=PostsGenerator(density), sensor=replace(_SENSOR, range=reach))
-
-
-def _crowded(people: float) -> Scenario:
-    return replace(_with_sensor(person_detection=0.9), dynamics=DynamicsSpec(people=int(people)))
 
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -184,7 +177,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             "People hide features and are mistaken for features, at other places each time.",
             "people in the building",
             (0.0, 6.0, 12.0, 24.0, 40.0),
-            _crowded,
+            lambda people: replace(_with_sensor(person_detection=0.9), dynamics=DynamicsSpec(people=int(people))),
         ),
         Experiment(
             "kidnapped",
