@@ -71,25 +71,19 @@ Beyond these limits a step takes minutes, or memory runs out. A limit can be rai
 """
 
 
-def check_settings(settings: object) -> None:
-    """Raise ValueError naming the first number of a settings dataclass that is outside its `LIMITS`.
+class Checked:
+    """Base of settings dataclasses. Making one raises ValueError that names the first number outside its `LIMITS`.
 
     A setting that is None passes.
     """
-    kind = type(settings).__name__
-    for name, (least, greatest) in LIMITS[kind].items():
-        value = getattr(settings, name)
-        if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= greatest):
-            raise ValueError(
-                f"{kind}.{name}={value}: expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
-            )
-
-
-class Checked:
-    """Base of settings dataclasses: `check_settings` when they are made."""
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        kind = type(self).__name__
+        for name, (least, greatest) in LIMITS[kind].items():
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= greatest):
+                limits = f"expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
+                raise ValueError(f"{kind}.{name}={value}: {limits}")
 
 
 def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:
