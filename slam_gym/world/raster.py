@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
+from scipy import ndimage
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -120,21 +120,17 @@ def _largest(free: Mask) -> Mask:
 
 def _doorways(free: Mask, labelled: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
     """(h, w) the straight runs of at most `longest` unlabelled free pixels from one labelled pixel to another."""
-    doorway = np.zeros(free.shape, dtype=bool)
-    for gaps, inside, out in (
-        ((free > 0) & ~labelled, labelled, doorway),
-        (((free > 0) & ~labelled).T, labelled.T, doorway.T),
-    ):
-        padded = np.pad(gaps, ((0, 0), (1, 1))).astype(np.int8)
-        step = np.diff(padded, axis=1)
-        (rows, starts), (_, ends) = np.nonzero(step == 1), np.nonzero(step == -1)
-        width = gaps.shape[1]
-        fits = (ends - starts <= longest) & (starts > 0) & (ends < width)
-        rows, starts, ends = rows[fits], starts[fits], ends[fits]
-        bounded = inside[rows, starts - 1] & inside[rows, ends]
-        for row, start, end in zip(rows[bounded], starts[bounded], ends[bounded]):
-            out[row, start:end] = True
-    return doorway
+    gaps = (free > 0) & ~labelled
+    return _bridged(gaps, labelled, longest) | _bridged(gaps.T, labelled.T, longest).T
+
+
+def _bridged(gaps: NDArray[np.bool_], labelled: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
+    """(h, w) the runs of at most `longest` gaps along a row that begin and end beside labelled pixels."""
+    run, count = ndimage.label(gaps, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])  # number of the run of each gap, or 0
+    begins, ends = np.zeros(count + 1, np.bool_), np.zeros(count + 1, np.bool_)
+    begins[run[:, 1:][labelled[:, :-1]]] = True
+    ends[run[:, :-1][labelled[:, 1:]]] = True
+    return np.asarray(gaps & (begins & ends & (np.bincount(run.ravel()) <= longest))[run])
 
 
 def _enclosed(free: Mask, resolution: float) -> Mask:
@@ -186,7 +182,7 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
     index = np.zeros(free.shape, dtype=np.int32)  # 1 + room of each pixel
     if len(labels) > _MAX_ROOMS:
         raise FloorPlanError("valid", f"holds more than {_MAX_ROOMS} labels")
-    for label, box in zip(labels, find_objects(compact + 1)):
+    for label, box in zip(labels, ndimage.find_objects(compact + 1)):
         if label == 0:
             continue
         _, parts, stats, _ = cv2.connectedComponentsWithStats(
@@ -345,8 +341,6 @@ def corners(ring: Array) -> tuple[Array, Array]:
 
 def thinned(points: Array, weights: Array) -> IntArray:
     """Indices, in order, of `points` (n, 2) [m] chosen by falling weight so that no two are closer than 0.3 m."""
-    if len(points) == 0:
-        return np.zeros(0, dtype=np.int64)
     near = cKDTree(points).query_ball_point(points, _MIN_DISTANCE * (1.0 - 1e-9))
     dropped = np.zeros(len(points), dtype=bool)
     for i in np.argsort(-weights, kind="stable"):
