@@ -21,7 +21,7 @@ import numpy as np
 
 from slam_gym._files import content_of
 from slam_gym.recordings.recording import Recording, RecordingError, naming, starts_of
-from slam_gym.types import UNLABELLED, Array, IntArray, Odometry, Scan
+from slam_gym.types import UNLABELLED, Array, IntArray, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
 _OPTIONAL = ("size", "sigma_size", "source")
@@ -65,9 +65,7 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
             terms="as its owner says",
             times=table["time"][first],
             motions=motions,
-            motion_covariances=np.array(
-                [Odometry.from_motion(m, sigmas=s).covariance for m, s in zip(motions, sigmas)]
-            ),
+            motion_covariances=np.eye(3) * sigmas[:, :, None] ** 2,
             starts=starts_of(np.add.reduceat(seen, first)),
             points=scan.points,
             covariances=scan.covariances,

@@ -62,7 +62,7 @@ def victoria_park(folder: str | Path) -> Recording:
     with naming(folder):
         wheels = _wheels(folder / "aa3_dr.mat")
         scans, starts, polar = _detections(folder / "VictoriaParkSinSincronizar.mat")
-        gps = np.column_stack(_columns(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m")))
+        gps = np.column_stack(_columns(folder / "aa3_gpsx.mat", "timeGps", "Lo_m", "La_m"))
         sources = _identities(folder, scans, starts, polar)
         motions, motion_covariances = _driven(scans, wheels)
         bearings = polar[:, 1] - 0.5 * math.pi  # the laser measures them from its right
@@ -89,19 +89,19 @@ def victoria_park(folder: str | Path) -> Recording:
 
 def _wheels(path: Path) -> tuple[Array, Array, Array]:
     """Times (n,) [ms], speeds (n,) [m/s] and steering (n,) [rad]."""
-    times, speed, steering = _columns(path, ("time", "speed", "steering"))
+    times, speed, steering = _columns(path, "time", "speed", "steering")
     _refuse(path, "time", np.diff(times, prepend=times[0]) < 0.0, "comes before the row before it")
     _refuse(path, "speed", np.abs(speed) > _FASTEST, f"is above {_FASTEST:g} m/s")
     _refuse(path, "steering", np.abs(steering) > _SHARPEST, f"is above {_SHARPEST:g} rad")
     return times, speed, steering
 
 
-def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Array]:
-    """Three variables of a file, which must have one length."""
-    first, second, third = (_numbers(path, name, value) for name, value in zip(names, read_matlab(path, *names)))
-    if not len(first) == len(second) == len(third):
+def _columns(path: Path, *names: str) -> list[Array]:
+    """Variables of a file, which must have one length."""
+    columns = [_numbers(path, name, value) for name, value in zip(names, read_matlab(path, *names))]
+    if len(set(map(len, columns))) > 1:
         raise RecordingError(f"{path}: variables {', '.join(names)} are not of one length")
-    return first, second, third
+    return columns
 
 
 def _detections(path: Path) -> tuple[Array, IntArray, Array]:

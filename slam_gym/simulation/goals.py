@@ -144,8 +144,6 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
     building is not neglected in favour of the corners of all rooms nearby.
     """
     centres = frontiers(grid, field.reachable)
-    if len(centres) == 0:
-        return centres
     areas = grid.expected_area(centres, reach)
     lengths = field.lengths_to(centres)
     useful = (areas >= WORTH_SEEING) & np.isfinite(lengths)

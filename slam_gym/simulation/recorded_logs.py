@@ -68,11 +68,10 @@ def windows(recording: Recording, split: str, looks: int = LOOKS, every: int = 1
 def reference_poses(recording: Recording) -> Array:
     """(T, 3) reference poses interpolated at the times of the steps; NaN outside the times of the reference."""
     times, known = recording.times, recording.reference_times
-    poses = np.full((len(times), 3), math.nan)
-    if not len(known):
-        return poses
-    covered = (times >= known[0]) & (times <= known[-1])
-    poses[covered] = interpolate(known, recording.reference_poses, times[covered])
+    if len(known) == 0:
+        return np.full((len(times), 3), math.nan)
+    poses = interpolate(known, recording.reference_poses, times)
+    poses[(times < known[0]) | (times > known[-1])] = math.nan
     return poses
 
 
