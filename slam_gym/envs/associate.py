@@ -93,8 +93,6 @@ class AssociateEnv(BaseEnv):
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
-
     settings = AssociateSettings
     arguments: AssociateSettings
 

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Self, TypeVar, cast
 
 import gymnasium as gym
 import numpy as np
@@ -97,6 +97,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     has no watchers and no window. If an argument does not pickle (a lambda as associator), the `snapshot` still does.
     """
 
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
+
     settings: type[Settings] = Settings  # names and defaults of the arguments
 
     def __init__(self, settings: Settings) -> None:
@@ -139,7 +141,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         outside the space; neither changes anything. If an error occurs within the step, for example in an associator,
         the episode ends with it: every further step raises RuntimeError, and `snapshot` returns the state before it.
         """
-        history = self._snapshot if self._snapshot is not None else self._started(self._snapshot)
+        history = self._started(self._snapshot)
         if self._failed:
             raise RuntimeError("the last step failed half-way: call reset(), or restore(snapshot()) to go back")
         if self.over:
@@ -206,7 +208,19 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return observation, info
 
     def __reduce__(self) -> Any:
-        return _copy, (type(self), vars(self.arguments), self._snapshot, self._np_random, self._carried_over())
+        return self._constructed, (vars(self.arguments),), (self._snapshot, self._np_random, self._carried_over())
+
+    @classmethod
+    def _constructed(cls, arguments: dict[str, Any]) -> Self:
+        return cls(**arguments)
+
+    def __setstate__(self, state: tuple[Snapshot | None, np.random.Generator | None, dict[str, Any]]) -> None:
+        snapshot, generator, carried_over = state
+        vars(self).update(carried_over)
+        if snapshot is not None and generator is not None:
+            self.restore(snapshot)
+            self.np_random.bit_generator.state = generator.bit_generator.state  # the episode shares this generator
+            vars(self).update(carried_over)
 
     # -- what a subclass provides ------------------------------------------------------------------------------------
 
@@ -284,19 +298,3 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         if self._site is None or self._site.plan is not plan:
             self._site = survey(plan, scenario)
         return self._site
-
-
-def _copy(
-    cls: type[BaseEnv],
-    arguments: dict[str, Any],
-    snapshot: Snapshot | None,
-    generator: np.random.Generator | None,
-    carried_over: dict[str, Any],
-) -> BaseEnv:
-    env = cls(**arguments)
-    vars(env).update(carried_over)
-    if snapshot is not None and generator is not None:
-        env.restore(snapshot)
-        env.np_random.bit_generator.state = generator.bit_generator.state  # the episode shares this generator
-        vars(env).update(carried_over)
-    return env

@@ -114,7 +114,7 @@ class ExploreEnv(BaseEnv):
       per tick.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
+    metadata = BaseEnv.metadata | {"render_fps": 10}
 
     settings = ExploreSettings
     arguments: ExploreSettings
@@ -132,6 +132,7 @@ class ExploreEnv(BaseEnv):
         self.atlas = None
         if self.relocate and settings.atlas:
             self.atlas = AtlasSpec() if settings.atlas is True else settings.atlas
+        self._episode: Episode | None = None
         self._error = REWARDS[settings.reward]
         self.measurements = self.scenario.sensor.max_features
         self.observation_space = observation_space(self.measurements, self.goal_mode)
@@ -140,13 +141,12 @@ class ExploreEnv(BaseEnv):
     @property
     def episode(self) -> Episode:
         """The running episode. Raises RuntimeError before the first reset."""
-        self._started(getattr(self, "_episode", None))
-        return self._episode
+        return self._started(self._episode)
 
     @property
     def goals(self) -> Goals:
         """The goals on offer. Raises RuntimeError in twist mode, where there are none, and before the first reset."""
-        self._started(getattr(self, "_episode", None))
+        self._started(self._episode)
         if not self.goal_mode:
             raise RuntimeError("there are goals in goal mode only")
         return self._goals
@@ -174,13 +174,13 @@ class ExploreEnv(BaseEnv):
         )
         self._begin_step()
         observation = self._observe()  # first, since watchers and pictures need the goals
-        self._episode.places.pass_by(self._episode.estimates[0][:2])
+        self.episode.places.pass_by(self.episode.estimates[0][:2])
         self._changed()
-        self._last_error = self._error(self._episode)
+        self._last_error = self._error(self.episode)
         return observation
 
     def _act(self, action: Any) -> float:
-        episode = self._episode
+        episode = self.episode
         self._begin_step()
         orders: Iterable[Command]
         if self.goal_mode:
@@ -197,7 +197,7 @@ class ExploreEnv(BaseEnv):
 
     @property
     def over(self) -> bool:
-        return self._episode.over
+        return self.episode.over
 
     def _picture(self) -> Any:
         from slam_gym.rendering import explore_view
@@ -216,11 +216,11 @@ class ExploreEnv(BaseEnv):
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:
-        self._decided_before = self._episode.identities.decided
-        self._ticks_before = max(self._episode.ticks, 0)
+        self._decided_before = self.episode.identities.decided
+        self._ticks_before = max(self.episode.ticks, 0)
 
     def _observe(self) -> Observation:
-        episode = self._episode
+        episode = self.episode
         slam_map, expected = episode.slam.map, episode.last_step.prediction
         budget_left = 1.0 - episode.ticks / self.scenario.budget
         observation: Observation = observe(
@@ -232,12 +232,11 @@ class ExploreEnv(BaseEnv):
         return observation
 
     def _info(self) -> Info:
-        episode = self._episode
+        episode = self.episode
         right, *wrong, missed = [
             after - before for after, before in zip(episode.identities.decided, self._decided_before)
         ]
-        sources, truth = np.empty(self.measurements, np.int64), episode.truth
-        sources.fill(SPURIOUS)
+        sources, truth = np.full(self.measurements, SPURIOUS), episode.truth
         sources[: len(truth.sources)] = truth.sources
         info: Info = {
             "map_error": episode.map_error(),

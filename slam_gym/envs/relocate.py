@@ -109,8 +109,6 @@ class RelocateEnv(BaseEnv):
     - `associator`: the associator with which the map is made.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
-
     settings = RelocateSettings
     arguments: RelocateSettings
 
@@ -176,7 +174,10 @@ class RelocateEnv(BaseEnv):
         return world
 
     def _begin(self, world: int) -> Observation:
-        self.mapped = self._map(world)
+        if world not in self._maps:  # the last map is kept, since several episodes have it
+            mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
+            self._maps = {world: mapped}
+        self.mapped = self._maps[world]
         inside = bool(self.np_random.random() >= self.arguments.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
         landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.arguments.locality)
@@ -207,13 +208,6 @@ class RelocateEnv(BaseEnv):
 
     def _carried_over(self) -> dict[str, Any]:
         return super()._carried_over() | {"_maps": dict(self._maps)}  # maps take long to make
-
-    def _map(self, world: int) -> MappedWorld:
-        """The map of a world. The last one is kept, since several episodes have it."""
-        if world not in self._maps:
-            mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
-            self._maps = {world: mapped}
-        return self._maps[world]
 
     def _observe(self) -> Observation:
         return dict(observe_walk(self.walk, self.measurements))
