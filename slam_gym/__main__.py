@@ -106,8 +106,8 @@ def report() -> Iterator[str]:
     yield ""
     yield from _packages()
     yield ""
-    yield from _cache()
-    yield from _data()
+    yield _cache()
+    yield _data()
 
 
 def _packages() -> Iterator[str]:
@@ -132,8 +132,8 @@ def _packages() -> Iterator[str]:
         yield from ("", "not installed; only what you use is needed:", *missing)
 
 
-def _cache() -> Iterator[str]:
-    """Yields where compiled loops are cached, and their size."""
+def _cache() -> str:
+    """Where compiled loops are cached, and their size."""
     from slam_gym._jit import cache_folder  # which imports numba
 
     folder = cache_folder()
@@ -143,19 +143,18 @@ def _cache() -> Iterator[str]:
     state += "; delete the folder to free it, it is made again" if size > _MUCH else ""
     existing = next(path for path in (folder, *folder.parents) if path.is_dir())
     writable = "" if os.access(existing, os.W_OK) else ", not writable"
-    yield f"compiled loops: {folder} ({state}{writable})"
+    return f"compiled loops: {folder} ({state}{writable})"
 
 
-def _data() -> Iterator[str]:
-    """Yields where recordings are searched, and which were found."""
+def _data() -> str:
+    """Where recordings are searched, and which were found."""
     from slam_gym.recordings import DATA, PUBLISHED
 
     if DATA not in os.environ:
-        yield f"recordings: {DATA} is not set; {', '.join(PUBLISHED)} need it or --data"
-        return
+        return f"recordings: {DATA} is not set; {', '.join(PUBLISHED)} need it or --data"
     folder = Path(os.environ[DATA])
     found = [name for name in PUBLISHED if (folder / name).is_dir()]
-    yield f"recordings: {DATA}={folder} ({', '.join(found) or 'none of ' + ', '.join(PUBLISHED)})"
+    return f"recordings: {DATA}={folder} ({', '.join(found) or 'none of ' + ', '.join(PUBLISHED)})"
 
 
 Result = TypeVar("Result")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from slam_gym.association.tracking.walk import Walk
-from slam_gym.geometry import compose, rotate_covariances, transform
+from slam_gym.geometry import rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, fitting
@@ -31,9 +31,9 @@ _KEY = (
 def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
     """A surface with a run and the walk through the tree of its present scan, or None after the end of the run."""
     picture = picture_with(_panel(run, walk, answers, figures))
-    base = run.base if isinstance(run, DrivenRun) else np.zeros(3)  # the pose of B in the frame of the scene
     scene = scene_of_episode(run) if isinstance(run, DrivenRun) else scene_of_log(run)
-    pose = compose(base, run.slam.map.pose)
+    pose = scene.pose
+    assert pose is not None
     points = np.vstack([pose[:2], transform(pose, run.scan.points)])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.5 * np.maximum(_MIN_EXTENT - (high - low), 0.0)

@@ -9,12 +9,11 @@ import numpy as np
 from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
-from slam_gym.rendering.panels import Box, Figures, figures
+from slam_gym.rendering.panels import SIZE, Box, Figures, figures
 from slam_gym.rendering.scene import Scene, draw_scene, legend, paired_positions, scene_of_episode, shown_in
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
 
-SIZE = (960, 720)  # [pixels]
 _MARGIN = 16  # [pixels] around the plan, and within the panel
 _SCALE_BAR = 14  # [pixels] height of the scale bar below the plan
 _BESIDE = 246  # [pixels] width of a panel beside the map

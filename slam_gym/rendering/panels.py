@@ -24,7 +24,7 @@ _KEY_ROW, _KEY_COLUMNS = 22, 2
 _BADGE, _BADGE_DISTANCE = 10, 21  # [pixels] radius of a badge; least distance between two centres
 _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
-SIZE, PANEL = (960, 720), 400  # [pixels] of a picture with a tree; width of the panel on its right
+SIZE, PANEL = (960, 720), 400  # [pixels] of a picture; width of the panel on the right of a tree's picture
 MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] of the map on its left
 KEY: tuple[KeyEntry, ...] = (  # common entries of both views
     (Decision.RIGHT, symbols.PAPER, "paired, right"),
