@@ -123,12 +123,11 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
     time, empty = table["time"], {name: np.isnan(column) for name, column in table.items()}
     first = np.diff(time, prepend=-math.inf) != 0.0
     of_step = np.flatnonzero(first)[np.cumsum(first) - 1]  # the first row of the step of each row
-    pair = empty[measured[0]] != empty[measured[1]]
     source = table.get("source", np.zeros(len(time)))
     refused = {
         "column 'time' is empty": empty["time"],
         "column 'time' descends": np.diff(time, prepend=time[:1]) < 0.0,
-        f"only one of {measured[0]!r} and {measured[1]!r} is given": pair,
+        f"only one of {measured[0]!r} and {measured[1]!r} is given": empty[measured[0]] != empty[measured[1]],
         "column 'source' is no integer": ~np.isnan(source) & (source != np.round(source)),
         "column 'source' is below -2": source < UNLABELLED,
         "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
@@ -166,11 +165,8 @@ def _scan(rows: dict[str, Array], measured: tuple[str, str]) -> Scan:
     """All measurements of the log, as one scan."""
     a, b = (rows[name] for name in measured)
     sigma_a, sigma_b = (rows.get(f"sigma_{name}", np.full(len(a), _SIGMAS[name])) for name in measured)
-    sizes = rows.get("size")
+    sized = {"sizes": rows.get("size"), "size_sigma": rows.get("sigma_size")}
     if measured == POLAR:
-        scan = Scan.from_polar(a, b, sigma_a, sigma_b)
-    else:
-        covariances = np.zeros((len(a), 2, 2))
-        covariances[:, 0, 0], covariances[:, 1, 1] = sigma_a**2, sigma_b**2
-        scan = Scan.from_points(np.column_stack([a, b]), covariances)
-    return scan if sizes is None else Scan(scan.points, scan.covariances, sizes, rows["sigma_size"] ** 2)
+        return Scan.from_polar(a, b, sigma_a, sigma_b, **sized)
+    covariances = np.eye(2) * np.column_stack([sigma_a, sigma_b])[:, :, None] ** 2
+    return Scan.from_points(np.column_stack([a, b]), covariances, **sized)

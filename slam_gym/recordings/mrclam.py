@@ -153,19 +153,14 @@ def _driven(times: Array, odometry: Array) -> tuple[Array, Array]:
     along = dt * ((NOISE.forward * v) ** 2 + NOISE.drift**2)
     across = dt * ((NOISE.lateral * v) ** 2 + NOISE.drift**2)
     turned = dt * ((NOISE.turn * w) ** 2 + NOISE.turn_drift**2)
-    entries = {
-        (0, 0): c * c * along + s * s * across + y_left**2 * turned,
-        (0, 1): c * s * (along - across) - x_left * y_left * turned,
-        (1, 1): s * s * along + c * c * across + x_left**2 * turned,
-        (0, 2): -y_left * turned,
-        (1, 2): x_left * turned,
-        (2, 2): turned,
-    }
+    xx = c * c * along + s * s * across + y_left**2 * turned
+    xy = c * s * (along - across) - x_left * y_left * turned
+    yy = s * s * along + c * c * across + x_left**2 * turned
+    xt, yt = -y_left * turned, x_left * turned
+    rows = [[xx, xy, xt], [xy, yy, yt], [xt, yt, turned]]
     whole = np.tile(np.eye(3), (len(times), 1, 1))
     whole[:, 0, 2], whole[:, 1, 2] = -motions[:, 1], motions[:, 0]
     covariances = _AT_REST**2 * whole @ whole.transpose(0, 2, 1)
-    for (row, column), values in entries.items():
-        covariances[:, row, column] += spans.sums(values, len(times))
-        covariances[:, column, row] = covariances[:, row, column]
+    covariances += np.array([[spans.sums(entry, len(times)) for entry in row] for row in rows]).transpose(2, 0, 1)
     motions[:, 2] = wrap_angles(motions[:, 2])
     return motions, covariances

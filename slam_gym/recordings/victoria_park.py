@@ -142,10 +142,8 @@ def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Ar
     )
     motions = np.column_stack([spans.sums(part, len(scans)) for part in moved])
     moving = spans.sums(np.where(v != 0.0, dt, 0.0), len(scans))  # [s]
-    covariances = np.zeros((len(scans), 3, 3))
-    for i, sigma in enumerate((NOISE.speed, NOISE.lateral, NOISE.turn)):
-        covariances[:, i, i] = sigma**2 * moving + _AT_REST**2
-    return motions, covariances
+    variances = np.square([NOISE.speed, NOISE.lateral, NOISE.turn]) * moving[:, None] + _AT_REST**2  # (T, 3)
+    return motions, np.eye(3) * variances[:, :, None]
 
 
 def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> IntArray:
