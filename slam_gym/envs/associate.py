@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
 from slam_gym.association.walks import Order
-from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
 from slam_gym.simulation.association_runs import DRIVERS, LOGS, AssociationRun, DrivenRun, Driver, LoggedRun, ScanLog
 from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
@@ -106,10 +106,8 @@ class AssociateEnv(BaseEnv):
             raise ValueError(f"reward={settings.reward!r}: {unknown}; known: truth")
         self._driver = settings.driver if callable(settings.driver) else DRIVERS[settings.driver]
         self.K = settings.candidates
-        parts: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(self.K).items()
-        }
-        self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
+        parts: dict[str, spaces.Space[Any]] = {name: box(length) for name, length in lengths(self.K).items()}
+        self.observation_space = spaces.Dict(parts | {"budget": box(1, 0.0)})
         self.action_space = spaces.Discrete(self.K + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
         self._ended = False
@@ -147,7 +145,6 @@ class AssociateEnv(BaseEnv):
         self._right = self._wrong = self._known = 0
         self._proceed()
         self._last_error = self._run.map_error()
-        self._changed()
         return self._observe()
 
     def _act(self, action: int) -> float:

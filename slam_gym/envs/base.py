@@ -35,6 +35,11 @@ class Snapshot(NamedTuple):
     actions: list[Any]  # since the reset
 
 
+def box(length: int, low: float = -1.0) -> gym.spaces.Box:
+    """The space of vectors of `length` numbers from `low` to 1."""
+    return gym.spaces.Box(low, 1.0, (length,), np.float32)
+
+
 def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | None = None) -> Scenario:
     """A scenario, itself or by name, with `overrides` applied. Raises ValueError as `get_scenario` and `overridden`."""
     original = get_scenario(scenario) if isinstance(scenario, str) else scenario
@@ -89,8 +94,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     previous episode, so that the episodes after a seeded one do not depend on the actions taken in it.
 
     A subclass defines how an episode begins (`_begin`), what an action does (`_act`), the observation and info
-    (`_observe`, `_info`), when the episode is `over`, and its picture (`_picture`). It calls `_changed` whenever there
-    is something new to render.
+    (`_observe`, `_info`), when the episode is `over`, and its picture (`_picture`). Its `_act` calls `_changed` when
+    there is something new to render.
 
     Environments can be pickled and deepcopied during an episode. The copy is constructed from the same arguments and
     replays the episode, which takes as long as the episode did; it then continues like the original, bit for bit. It
@@ -132,7 +137,9 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
-        return self._begin(self._draw_world(options)), self._info()
+        observation = self._begin(self._draw_world(options))
+        self._changed()
+        return observation, self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Carry out one action.

@@ -173,9 +173,8 @@ class ExploreEnv(BaseEnv):
             atlas=self.atlas,
         )
         self._begin_step()
-        observation = self._observe()  # first, since watchers and pictures need the goals
+        observation = self._observe()  # first, so that the start is no goal yet
         self.episode.places.pass_by(self.episode.estimates[0][:2])
-        self._changed()
         self._last_error = self._error(self.episode)
         return observation
 
@@ -222,10 +221,8 @@ class ExploreEnv(BaseEnv):
     def _observe(self) -> Observation:
         episode = self.episode
         slam_map, expected = episode.slam.map, episode.last_step.prediction
-        budget_left = 1.0 - episode.ticks / self.scenario.budget
-        observation: Observation = observe(
-            episode.scan, expected, slam_map, episode.grid, self.measurements, budget_left
-        )
+        left = 1.0 - episode.ticks / self.scenario.budget  # fraction of the budget
+        observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements, left)
         if self.goal_mode:
             self._goals = propose(self.scenario, slam_map, episode.grid, episode.places, episode.tried)
             observation["goals"] = encode_goals(self._goals, slam_map.pose)
@@ -233,9 +230,7 @@ class ExploreEnv(BaseEnv):
 
     def _info(self) -> Info:
         episode = self.episode
-        right, *wrong, missed = [
-            after - before for after, before in zip(episode.identities.decided, self._decided_before)
-        ]
+        right, *wrong, missed = [now - then for now, then in zip(episode.identities.decided, self._decided_before)]
         sources, truth = np.full(self.measurements, SPURIOUS), episode.truth
         sources[: len(truth.sources)] = truth.sources
         info: Info = {

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.walks import POSITION_SCALE, SIGMA_SCALE, SIZE_SCALE, Float32Array, squash
+from slam_gym.envs.base import box
 from slam_gym.geometry import observe as seen_from
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import Blocks, Cells, ExploredGrid, draw_egocentric
@@ -41,19 +42,15 @@ def unsquash(value: Any, scale: float) -> Any:
 
 def observation_space(measurements: int, goals: bool) -> spaces.Dict:
     """The observation space for scans of at most `measurements`, in twist mode without `goals`."""
-
-    def box(length: int, low: float) -> spaces.Box:
-        return spaces.Box(low, 1.0, (length,), np.float32)
-
     parts: dict[str, spaces.Space[Any]] = {
-        "scan": box(measurements * len(POINT_FIELDS), -1.0),
-        "features": box(FEATURES * len(POINT_FIELDS), -1.0),
+        "scan": box(measurements * len(POINT_FIELDS)),
+        "features": box(FEATURES * len(POINT_FIELDS)),
         "uncertainty": box(3, 0.0),
         "budget": box(1, 0.0),
         "image": spaces.Box(0, 255, (3, PIXELS, PIXELS), np.uint8),
     }
     if goals:
-        parts["goals"] = box(SLOTS * len(GOAL_FIELDS), -1.0)
+        parts["goals"] = box(SLOTS * len(GOAL_FIELDS))
     return spaces.Dict(parts)
 
 

@@ -13,7 +13,7 @@ from slam_gym.association.prediction import Associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.association.walks import Order
-from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, chosen_scenario
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.kidnapping import is_right
@@ -124,9 +124,7 @@ class RelocateEnv(BaseEnv):
         resolve_associator(settings.associator)  # raises for an unknown one
         self.measurements = self.scenario.sensor.max_features
         shapes = walk_shapes(settings.candidates, self.measurements)
-        self.observation_space = spaces.Dict(
-            {name: spaces.Box(-1.0, 1.0, (rows * columns,), np.float32) for name, (rows, columns) in shapes.items()}
-        )
+        self.observation_space = spaces.Dict({name: box(rows * columns) for name, (rows, columns) in shapes.items()})
         self.action_space = spaces.Discrete(self.walk_spec.actions)
         self._maps: dict[int, MappedWorld] = {}
         self._walk: RelocationWalk | None = None
@@ -182,7 +180,6 @@ class RelocateEnv(BaseEnv):
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
         landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.arguments.locality)
         self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality)
-        self._changed()
         return self._observe()
 
     def _act(self, action: int) -> float:
