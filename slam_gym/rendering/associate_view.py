@@ -90,11 +90,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> TreeLe
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
     features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
-    right = STAR if answers.right[i] == UNPAIRED else None
-    if answers.sources[i] == UNLABELLED:
-        right = None
-    elif answers.right[i] in features:
-        right = features.index(answers.right[i])
+    branch_of = dict(zip(features, range(last - first))) | {UNPAIRED: STAR}
     chosen = int(walk.chosen[k]) if k < walk.level else None
     return TreeLevel(
         f"z{i}",
@@ -102,7 +98,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> TreeLe
         legal=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
         chosen=chosen if chosen is None else STAR if chosen == UNPAIRED else chosen - first,
         decision=Decision.UNJUDGED if chosen is None else int(codes[i]),
-        right=right,
+        right=None if answers.sources[i] == UNLABELLED else branch_of.get(int(answers.right[i])),
     )
 
 

@@ -237,9 +237,7 @@ def shown_in(scene: Scene) -> frozenset[str]:
 @functools.lru_cache(maxsize=16)
 def legend(shown: frozenset[str], stacked: bool) -> Any:
     """A surface with the entries for the fields that are `shown`; groups are stacked, or side by side."""
-    groups = {
-        name: [entry for entry in entries if entry.only_with in shown | {""}] for name, entries in _GROUPS.items()
-    }
+    groups = {name: [each for each in entries if each.only_with in shown | {""}] for name, entries in _GROUPS.items()}
     heights = [_ROW * (1 + len(entries)) for entries in groups.values()]
     size = (_COLUMN, sum(heights) + 8 * (len(groups) - 1)) if stacked else (_COLUMN * len(groups), max(heights))
     surface = pygame.Surface(size, depth=32)

@@ -93,9 +93,8 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
         if not isinstance(name, str):
             raise ValueError(f"override {reprlib.repr(name)}: expected the name of a field")
         if not (value is None or isinstance(value, _PLAIN)):
-            raise ValueError(
-                f"override {name!r}: expected a bool, a number, a string or None, got {reprlib.repr(value)}"
-            )
+            found = reprlib.repr(value)
+            raise ValueError(f"override {name!r}: expected a bool, a number, a string or None, got {found}")
     return _changed(scenario, overrides, "")
 
 

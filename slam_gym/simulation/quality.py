@@ -32,14 +32,12 @@ def quality(episode: Episode) -> dict[str, float]:
     sources = episode.identities.majority_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
     real, first = np.unique(sources, return_index=True)
     first, real = first[real >= 0], real[real >= 0]
-    landmarks = episode.landmarks
+    landmarks, targets = episode.landmarks, episode.targets
     mapped, true = landmarks[first], episode.site.plan.features.positions[real]
-    parts = gospa(landmarks, episode.targets, p=2.0, cutoff=_CUTOFF)
+    parts = gospa(landmarks, targets, p=2.0, cutoff=_CUTOFF)
     return {
         "map_error": episode.map_error(),
-        "map_error_aligned": map_error_aligned(
-            landmarks, episode.targets, episode.scenario.prior_sigma, (mapped, true)
-        ),
+        "map_error_aligned": map_error_aligned(landmarks, targets, episode.scenario.prior_sigma, (mapped, true)),
         "coverage": episode.coverage(),
         "landmark_rmse_raw": landmark_rmse(mapped, true),
         "landmark_rmse_aligned": landmark_rmse(mapped, true, aligned=True),

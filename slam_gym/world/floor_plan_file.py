@@ -87,9 +87,8 @@ def _parse(path: Path) -> FloorPlan:
     keys = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
     format_, version, name, walls, features, rooms, doors, furniture = _values("file", document, keys)
     if (format_, version) != (FORMAT, VERSION):
-        raise FloorPlanError(
-            "format, version", f"{reprlib.repr(format_)}, {reprlib.repr(version)}: expected {FORMAT!r}, {VERSION}"
-        )
+        found = f"{reprlib.repr(format_)}, {reprlib.repr(version)}"
+        raise FloorPlanError("format, version", f"{found}: expected {FORMAT!r}, {VERSION}")
     positions, names, sizes = _columns("features", features, ("position", "kind", "size"))
     known = [kind.name.lower() for kind in Kind]
     if unknown := [f"features[{i}].kind" for i, kind in enumerate(names) if kind not in known]:
@@ -115,9 +114,8 @@ def _values(where: str, record: Any, keys: tuple[str, ...]) -> list[Any]:
     if not isinstance(record, dict):
         raise FloorPlanError(where, "is not an object")
     if odd := sorted(set(record) ^ set(keys)):
-        raise FloorPlanError(
-            where, f"the key {reprlib.repr(odd[0])} is missing or unknown; known are {', '.join(keys)}"
-        )
+        key = reprlib.repr(odd[0])
+        raise FloorPlanError(where, f"the key {key} is missing or unknown; known are {', '.join(keys)}")
     return [record[key] for key in keys]
 
 

@@ -126,10 +126,8 @@ class World:
         self._body = self._add_robot(start)
         self._wheels = _Wheels(robot, self._body, self._step)
         self._update_pose()
-        keep = robot.radius + robot.max_speed * dynamics.tick + 0.05
-        self._people = People(
-            plan, dynamics.people, dynamics.person_radius, dynamics.person_speed, keep, start[:2], rng
-        )
+        gap = robot.radius + robot.max_speed * dynamics.tick + 0.05
+        self._people = People(plan, dynamics.people, dynamics.person_radius, dynamics.person_speed, gap, start[:2], rng)
         self._walkers = [self._add_person(disc) for disc in self._people.discs]
 
     @property

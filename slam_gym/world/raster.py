@@ -185,9 +185,8 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
     for label, box in zip(labels, ndimage.find_objects(compact + 1)):
         if label == 0:
             continue
-        _, parts, stats, _ = cv2.connectedComponentsWithStats(
-            (valid[box] == label).astype(np.uint8) & free[box], connectivity=4
-        )
+        labelled = (valid[box] == label).astype(np.uint8) & free[box]
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(labelled, connectivity=4)
         offset = np.array([box[1].start, box[0].start])
         for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
             outlines = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN)
@@ -203,9 +202,8 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
 
 def _spread(index: NDArray[np.int32]) -> NDArray[np.int32]:
     """`index` (h, w) with every pixel without a room assigned to the nearest room."""
-    _, nearest = cv2.distanceTransformWithLabels(
-        (index == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
+    without_room = (index == 0).astype(np.uint8)
+    _, nearest = cv2.distanceTransformWithLabels(without_room, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     room_of = np.zeros(int(nearest.max()) + 1, dtype=np.int32)
     room_of[nearest[index > 0]] = index[index > 0]
     return np.asarray(room_of[nearest])
