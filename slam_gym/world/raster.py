@@ -128,9 +128,10 @@ def _bridged(gaps: NDArray[np.bool_], labelled: NDArray[np.bool_], longest: int)
     """(h, w) the runs of at most `longest` gaps along a row that begin and end beside labelled pixels."""
     run, count = ndimage.label(gaps, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])  # number of the run of each gap, or 0
     begins, ends = np.zeros(count + 1, np.bool_), np.zeros(count + 1, np.bool_)
-    begins[run[:, 1:][labelled[:, :-1]]] = True
-    ends[run[:, :-1][labelled[:, 1:]]] = True
-    return np.asarray(gaps & (begins & ends & (np.bincount(run.ravel()) <= longest))[run])
+    begins[run[:, 1:][gaps[:, 1:] & labelled[:, :-1]]] = True
+    ends[run[:, :-1][gaps[:, :-1] & labelled[:, 1:]]] = True
+    fits = begins & ends & (np.bincount(run[gaps], minlength=count + 1) <= longest)
+    return np.asarray(fits[run])
 
 
 def _enclosed(free: Mask, resolution: float) -> Mask:
