@@ -150,7 +150,8 @@ def training(theme: dict[str, str]) -> Figure:
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
         shift = -0.04 if who == "marginal" else 0.0  # so that names do not overlap
         axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
-    axes.set(xlabel="million decisions", ylabel="score (1: the truth, 0: refuses all)", xlim=(0, 2.0), ylim=(-0.8, 1.05))
+    axes.set(xlabel="million decisions", ylabel="score (1: the truth, 0: refuses all)")
+    axes.set(xlim=(0, 2.0), ylim=(-0.8, 1.05))
     minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))
     minutes.set_xlabel("minutes of one core")
     axes.legend(loc="lower right")
