@@ -1,13 +1,11 @@
 """Shared code of the commands: typer commands whose groups of options are dataclasses, and running an evaluation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -27,24 +25,22 @@ def command(
     such as `ExploreWorld`, is replaced by options for its fields. An option with several values takes them in a row,
     as in `--agents random learned`. Invalid input ends with one line of text and exit code 2.
     """
-    hints = get_type_hints(function, include_extras=True)
-    groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    groups: dict[str, Any] = {}
+    parameters: list[Parameter] = []
+    for parameter in signature(function, eval_str=True).parameters.values():
+        if is_dataclass(group := parameter.annotation):
+            groups[parameter.name] = group
+            parameters += signature(group).parameters.values()
+        else:
+            parameters.append(parameter)
 
     def call(**values: Any) -> None:
         for name, group in groups.items():
             values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
         raise typer.Exit(ended(lambda: function(**values)) or 0)
 
-    parameters: list[Parameter] = []
-    for parameter in signature(function).parameters.values():
-        if (group := groups.get(parameter.name)) is not None:
-            parameters += signature(group).parameters.values()
-            hints |= get_type_hints(group, include_extras=True)
-        else:
-            parameters.append(parameter)
-    parameters = [p.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in parameters]
-    call.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    options = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in parameters]
+    call.__signature__ = Signature(options)  # type: ignore[attr-defined]
     app = app or typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command(name, help=function.__doc__, epilog=f"Example: {example}", cls=_SeveralValues)(call)
     return app
@@ -66,7 +62,9 @@ class _SeveralValues(typer.core.TyperCommand):
         return super().parse_args(ctx, expanded)
 
 
-def evaluate(evaluation: Evaluation, execution: Execution, out: Path, films: Sequence[Callable[[], Path]] = ()) -> None:
+def evaluate(
+    evaluation: "Evaluation", execution: Execution, out: Path, films: Sequence[Callable[[], Path]] = ()
+) -> None:
     """Carry out an evaluation, make its films, write its report and print its tables, with progress bars.
 
     If it is interrupted, prints how to resume it.

@@ -3,11 +3,9 @@
 Odometry and scans are the same; only the associations differ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -15,9 +13,7 @@ from typer import Option
 
 from agents.cli import command
 from agents.options import Associators
-
-if TYPE_CHECKING:
-    from slam_gym.types import Array
+from slam_gym.types import Array
 
 WORLD = 4  # of the train split
 ASSOCIATORS = ("nearest_neighbour", "learned")

@@ -28,7 +28,7 @@ def main(
 
     loops, numbers = world.loops(["office"], split="test"), episodes.range(EPISODES)
     out = execution.folder(loops[0].world.split(".")[0])
-    drivers, filmed = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust), []
+    drivers, filmed = drivers_of(agents or SHOWN, model or [], trust), []
     evaluation = driver_evaluation(drivers, loops, numbers)
     if films:
         from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need

@@ -2,20 +2,15 @@
 the same scans, with one number per capability; `--recording` runs them over a real log. All write a report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from typer import Option
 
 from agents.cli import command, evaluate
 from agents.options import Associators, Episodes, Execution, Names, Recorded, Scenes, Suite, search_of
-
-if TYPE_CHECKING:
-    from agents.evaluation.pipeline import Evaluation
 
 LOOPS = ("office-small", "hall", "crowd")
 EPISODES = 30
@@ -45,8 +40,8 @@ class EvaluatedAssociators:
 
         return self.associators or list(SHIPPED)
 
-    def searches(self, default: list[str]) -> list[str | None]:
-        """The relocation searches, each once."""
+    def searches(self, *default: str | None) -> list[str | None]:
+        """The relocation searches, each once, as `search_of` reads them; by default those of `default`."""
         return [search_of(name) for name in dict.fromkeys(self.relocation or default)]
 
 
@@ -69,39 +64,32 @@ def main(
         raise ValueError("--film shows drives of two to four associators: name them by --associators")
     kind = "suite" if suite else "recording" if recording else "association"
     _check_options_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
-    out = execution.folder(kind)
+    out, films = execution.folder(kind), list[Callable[[], Path]]()
     if suite:
         from agents.suite import suite_evaluation
         from slam_gym.association import RELOCATORS
 
         relocators = candidates.relocation or list(RELOCATORS)
-        evaluate(suite_evaluation(suite_options, candidates.names, relocators, candidates.split), execution, out)
+        evaluation = suite_evaluation(suite_options, candidates.names, relocators, candidates.split)
     elif recording:
-        evaluate(_on_logs(candidates, recorded, recording, out), execution, out)
+        from agents.evaluation.mapped_log import logs_of, recording_evaluation
+
+        logs = logs_of(recorded, recording)
+        for log in logs:
+            print(f"{log.name}: {log.source} {log.terms}")
+        conditions = {"recording": recording, "every": recorded.every, "reference": recorded.reference}
+        evaluation = recording_evaluation(candidates.names, logs, conditions, out, candidates.searches(None))
     else:
         from agents.evaluation.drives import Driver, associator_evaluation
-        from slam_gym.slam.relocate import SEARCH
 
-        loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches(["none", SEARCH])
+        loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches("none", None)
         episodes = loop.range(EPISODES)
         evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
-        films: list[Callable[[], Path]] = []
         if film:
             from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 
             films = films_of([Driver(loop.driver)], loops[0], loop.seed, out, candidates.names)
-        evaluate(evaluation, execution, out, films)
-
-
-def _on_logs(candidates: EvaluatedAssociators, recorded: Recorded, recording: str, out: Path) -> Evaluation:
-    from agents.evaluation.mapped_log import logs_of, recording_evaluation
-    from slam_gym.slam.relocate import SEARCH
-
-    logs = logs_of(recorded, recording)
-    for log in logs:
-        print(f"{log.name}: {log.source} {log.terms}")
-    conditions = {"recording": recording, "every": recorded.every, "reference": recorded.reference}
-    return recording_evaluation(candidates.names, logs, conditions, out, candidates.searches([SEARCH]))
+    evaluate(evaluation, execution, out, films)
 
 
 def _check_options_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:

@@ -3,8 +3,6 @@
 The package is imported only when a command uses its options, so that `--help` is fast.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -40,7 +38,7 @@ class Scenes:
     floor_plan: Annotated[Path | None, Option(metavar="FILE", help="Drive here instead: JSON, or an image.")] = None
     resolution: Annotated[float | None, Option(metavar="M", help="Metres per pixel of an image.")] = None
 
-    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
+    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> "list[ExploreArguments]":
         """Arguments of Explore-v0 for each scenario of the options, or else of `scenarios`."""
         from agents.evaluation.episodes import ExploreArguments
 
@@ -57,11 +55,11 @@ class ExploreWorld(Scenes):
     associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None
     relocation: Search = None
 
-    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
+    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> "list[ExploreArguments]":
         slam = {"associator": self.associator, "relocation": search_of(self.relocation)}
         return super().loops(scenarios, split, **slam, **others)
 
-    def arguments(self, scenario: str, split: str, reward: str = "map_error") -> ExploreArguments:
+    def arguments(self, scenario: str, split: str, reward: str = "map_error") -> "ExploreArguments":
         """The arguments for one scenario. Raises ValueError where several are named."""
         loops = self.loops([scenario], split, reward=reward)
         if len(loops) > 1:
@@ -96,7 +94,7 @@ class AssociateWorld:
     compatibility: Annotated[str, Option(help="joint or individual.")] = "joint"
     wrong_cost: Annotated[float, Option(metavar="C", help="Cost of a wrong pairing.")] = 10.0
 
-    def worlds(self, split: str) -> list[AssociateArguments]:
+    def worlds(self, split: str) -> "list[AssociateArguments]":
         """Arguments of the environment for each scenario."""
         from agents.evaluation.episodes import AssociateArguments
 

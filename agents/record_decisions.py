@@ -1,20 +1,16 @@
 """`slam-gym record-decisions`: writes the decisions of an associator in Associate-v0 as a Minari data set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 from typer import Option
 
 from agents.cli import command
 from agents.evaluation.records import stem
 from agents.options import AssociateWorld, Episodes
-
-if TYPE_CHECKING:
-    import gymnasium as gym
-    from numpy.typing import NDArray
 
 EPISODES = 10
 

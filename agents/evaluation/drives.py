@@ -28,7 +28,7 @@ class Driver:
         return make_agent(self.agent, self.model or None, trust=self.trust)
 
 
-def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list[Driver]:
+def drivers_of(names: Sequence[str], models: Sequence[Path | str], trust: bool) -> list[Driver]:
     """One driver for each name, for learned ones one for each model file. Models without a learned name add `ppo`."""
     names = list(dict.fromkeys(names))
     if models and not any(is_learned(name) for name in names):
