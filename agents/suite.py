@@ -6,8 +6,6 @@ uncertain as the level prescribes, and the scan from the true place. Answers do 
 associators get the same problems. A task evaluates all associators or relocators in one world of one level.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -67,17 +65,6 @@ class AssociationProblem:
         return self.truth.right
 
 
-@dataclass(frozen=True)
-class Stop:
-    """One stop of a lap: the motion to it, and the scan there."""
-
-    slam: Slam  # in the state before the stop; it continues when the next stop is requested
-    odometry: Odometry
-    scan: Scan
-    truth: RightAnswers
-    grid: ExploredGrid  # explored so far
-
-
 def lap_around(site: Site, start: Array, spacing: float) -> Array:
     """Poses (t, 3) W of one lap over places about `spacing` [m] apart, each the nearest that is left."""
     squares = np.unique(np.floor(site.cells / spacing), axis=0, return_index=True)[1]
@@ -93,7 +80,10 @@ def lap_around(site: Site, start: Array, spacing: float) -> Array:
 
 
 class TwoLaps:
-    """Two laps through one world of a level, the second backwards. They can be driven only once."""
+    """Two laps through one world of a level, the second backwards. They can be driven only once.
+
+    `slam` and `grid`, the explored space, are in the state before the present stop of `sampled`.
+    """
 
     def __init__(self, level: Level, world: int, split: str = "test") -> None:
         scenario = level.scenario
@@ -107,28 +97,25 @@ class TwoLaps:
         back[:, 2] += np.pi
         self.poses = np.concatenate([self.base[None], lap, back])
         self.second = 1 + len(lap)  # stop at which the second lap begins
-
-    def sampled(self, count: int) -> Iterator[Stop]:
-        """Up to `count` stops, evenly spaced over the second lap, with enough measurements of mapped features.
-
-        All stops are mapped with true associations.
-        """
-        scenario, previous = self.level.scenario, self.base
-        slam = Slam(replace(scenario.slam, reach=scenario.sensor.range))
-        judged = JudgedSlam(slam, CEILING)
+        self.slam = Slam(replace(scenario.slam, reach=scenario.sensor.range))
         reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
-        grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
+        self.grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
+
+    def sampled(self, count: int) -> Iterator[tuple[Odometry, Scan, RightAnswers]]:
+        """Up to `count` stops, evenly spaced over the second lap, with enough measurements of mapped features: the
+        motion to the stop, the scan there, and the truth about it. All stops are mapped with true associations."""
+        judged, previous = JudgedSlam(self.slam, CEILING), self.base
         due = np.linspace(self.second, len(self.poses), count, endpoint=False).astype(int).tolist()
         for k, pose in enumerate(self.poses):
             moved = relative(previous, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
             scan, truth = self.look(pose)
-            answers = RightAnswers.of(truth, judged.identities.source_of(slam.map.ids))
+            answers = RightAnswers.of(truth, judged.identities.source_of(self.slam.map.ids))
             if due and k >= due[0] and answers.known >= MIN_MAPPED:
                 due.pop(0)
-                yield Stop(slam, odometry, scan, answers, grid)
+                yield odometry, scan, answers
             judged.step(odometry, scan, truth)
-            grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
+            self.grid.integrate(self.slam.map.pose, self.sensor.beams(pose, self.rng))
             previous = pose
 
     def look(self, pose: Array) -> tuple[Scan, Truth]:
@@ -145,23 +132,13 @@ def problems(level: Level, world: int, count: int, split: str = "test") -> Itera
     """Up to `count` problems of a world."""
     laps, sensor, (position, heading) = TwoLaps(level, world, split), level.scenario.sensor, level.blind
     blind = np.array([position, position, heading])
-    for stop in laps.sampled(count):
-        noise, u = blind * laps.rng.standard_normal(3), stop.odometry
-        lost = stop.slam.map.copy()
-        lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
-        sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=stop.grid.explored)
+    for odometry, scan, truth in laps.sampled(count):
+        noise = blind * laps.rng.standard_normal(3)
+        lost = laps.slam.map.copy()
+        lost.predict(Odometry(odometry.motion + noise, odometry.covariance + np.diag(blind**2)))
+        sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=laps.grid.explored)
         prediction = predict(lost, sensor.range, sight=sight, view_moves=False)
-        yield AssociationProblem(stop.scan, prediction, stop.truth)
-
-
-def ask(name: str, function: Callable[..., Any], problem: AssociationProblem | RelocationProblem) -> Any:
-    """The answer of an associator, of which `true_association` receives the truth, or of a relocator."""
-    if isinstance(problem, RelocationProblem):
-        return function(problem.scan, problem.landmarks, problem.locality)
-    if name == CEILING:
-        truth = problem.truth
-        return true_association(problem.scan, problem.prediction, sources=truth.sources, identities=truth.identities)
-    return function(problem.scan, problem.prediction)
+        yield AssociationProblem(scan, prediction, truth)
 
 
 class Judgement(NamedTuple):
@@ -197,18 +174,18 @@ class RelocationProblem:
 
 def relocation_problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[RelocationProblem]:
     """Up to `count` problems: half inside the map, on the second lap, then as many in another building."""
-    inside = 0
-    for stop in TwoLaps(level, world, split).sampled((count + 1) // 2):
+    inside, laps = 0, TwoLaps(level, world, split)
+    for odometry, scan, truth in laps.sampled((count + 1) // 2):
         inside += 1
-        landmarks, locality = stop.slam.map.landmarks(), covisible(stop.slam.covisibility)
-        known = stop.slam.map.copy()
-        known.predict(stop.odometry)
-        known.update(stop.scan, stop.truth.right)
-        yield RelocationProblem(stop.scan, landmarks, locality, known.pose)
+        landmarks, locality = laps.slam.map.landmarks(), covisible(laps.slam.covisibility)
+        known = laps.slam.map.copy()
+        known.predict(odometry)
+        known.update(scan, truth.right)
+        yield RelocationProblem(scan, landmarks, locality, known.pose)
     other = TwoLaps(level, (world + OTHER_BUILDING) % SPLITS["test"][1], split)
     for pose in other.rng.permutation(other.poses):
-        scan, truth = other.look(pose)
-        if inside and np.count_nonzero(truth.sources >= 0) >= MIN_MAPPED:
+        scan, seen = other.look(pose)
+        if inside and np.count_nonzero(seen.sources >= 0) >= MIN_MAPPED:
             inside -= 1
             yield RelocationProblem(scan, landmarks, locality, None)
 
@@ -240,6 +217,16 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
             tasks.append(Task(keys, partial(evaluate, level.id, world, searches, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
     return Evaluation("suite", tasks, size, {"models": models_of(associators)})
+
+
+def ask(name: str, function: Callable[..., Any], problem: AssociationProblem | RelocationProblem) -> Any:
+    """The answer of an associator, of which `true_association` receives the truth, or of a relocator."""
+    if isinstance(problem, RelocationProblem):
+        return function(problem.scan, problem.landmarks, problem.locality)
+    if name == CEILING:
+        truth = problem.truth
+        return true_association(problem.scan, problem.prediction, sources=truth.sources, identities=truth.identities)
+    return function(problem.scan, problem.prediction)
 
 
 def evaluate(setting: str, world: int, searches: Mapping[str, Any], count: int, split: str) -> list[Record]:
