@@ -6,21 +6,16 @@ leaderboard.md, which ranks all entries there and the shipped ones. Without --en
 same command resumes an interrupted entry.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 from typer import Option
 
 from agents.cli import command
-from agents.options import Execution
-
-if TYPE_CHECKING:
-    from agents.ranking.protocol import Role
+from agents.options import Execution, Role
 
 MARKS = "<!-- the tables: slam-gym leaderboard --page FILE -->", "<!-- end of the tables -->"
 """The marks between which a page gets its tables."""
@@ -31,9 +26,7 @@ def main(
     entry: Annotated[
         str | None, Option(metavar="NAME", help="Name, module:Class, module:function, model file.")
     ] = None,
-    role: Annotated[
-        Literal["agent", "associator", "relocator"] | None, Option(help="By default derived from NAME.")
-    ] = None,
+    role: Annotated[Role | None, Option(help="By default derived from NAME.")] = None,
     board: Annotated[Path, Option(metavar="DIR", help="Where entries and the page go.")] = Path("leaderboard"),
     quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry.")] = False,
     page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,

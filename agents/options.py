@@ -6,7 +6,7 @@ The package is imported only when a command uses its options, so that `--help` i
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
 
@@ -20,6 +20,8 @@ DRIFTING = ("office", "drift-1", "drift-2", "drift-3", "aliased-drift")
 ON_A_FLOOR = "building"
 """The default scenario for a floor plan file."""
 
+Role = Literal["agent", "associator", "relocator"]
+"""What an entry of the leaderboard is."""
 Names = list[str] | None
 Scenarios = Annotated[Names, Option("--scenario", metavar="NAME", help="See slam-gym list scenarios. Repeatable.")]
 Overrides = Annotated[Names, Option("--set", metavar="NAME=VALUE", help="Change the scenario. Repeatable.")]

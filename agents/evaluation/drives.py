@@ -59,9 +59,7 @@ def drive(
 
 
 # Agents and environments are cached for the next task of the same process.
-@lru_cache(maxsize=8)
-def _agent(driver: Driver) -> Agent:
-    return driver.make()
+_agent = lru_cache(maxsize=8)(Driver.make)
 
 
 @lru_cache(maxsize=4)

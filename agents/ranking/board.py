@@ -1,7 +1,5 @@
 """Entries as JSON files, and their ranking by paired differences over common worlds."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
@@ -63,7 +61,7 @@ class Ranked:
         stem = re.sub(r"[^\w.-]+", "_", Path(self.name).stem if Path(self.name).is_file() else self.name)
         return f"{self.protocol['role']}-{stem}{'-quick' if self.protocol['quick'] else ''}.json"
 
-    def quick(self) -> Ranked:
+    def quick(self) -> "Ranked":
         """The same entry by the short protocol, whose worlds are among those of the whole one."""
         chosen = Protocol(self.protocol["role"], quick=True)
         losses = {setting: self.losses[setting][:count] for setting, count in chosen.parts.items()}

@@ -7,7 +7,7 @@ scenario; the mean over columns determines the rank.
 import functools
 import hashlib
 import json
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 
@@ -15,12 +15,12 @@ from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
+from agents.options import Role
 from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.suite import evaluate
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.simulation.judged import CEILING
 
-Role = Literal["agent", "associator", "relocator"]
 Parts = dict[str, int]
 """Scenarios and levels of the suite (EXPERIMENT/NUMBER), with the number of worlds of each."""
 
@@ -88,10 +88,8 @@ def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
         return [{"loss": LOST, "failed": str(error)}]
 
 
-@functools.lru_cache(maxsize=4)
-def process(role: Role, name: str) -> EntryProcess:
-    """The process of an entry. Each process of the evaluation has one."""
-    return EntryProcess(role, name)
+process = functools.lru_cache(maxsize=4)(EntryProcess)
+"""The process of an entry, by role and name. Each process of the evaluation has one."""
 
 
 def _searcher(name: str, role: Role) -> Any:
