@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.records import Record
-from slam_gym.association import ASSOCIATORS, resolve_associator, resolve_relocator
+from slam_gym.association import resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Associator
 from slam_gym.simulation.judged import CEILING
 
@@ -77,7 +77,5 @@ class Metered:
 def metered(associator: str) -> tuple[Metered, Associator | str]:
     """A meter, and the associator to use: the metered one, or the name `true_association`, which cannot be wrapped, so
     that its meter stays empty."""
-    if associator == CEILING:
-        return Metered(ASSOCIATORS[CEILING]), CEILING
     meter = Metered(resolve_associator(associator))
-    return meter, meter
+    return meter, CEILING if associator == CEILING else meter

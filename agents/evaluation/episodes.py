@@ -97,11 +97,6 @@ def reset_arguments(episode: int) -> dict[str, Any]:
     return {"seed": episode, "options": {"world": episode}}
 
 
-def agent_seed(episode: int) -> int:
-    """The seed of an agent, different for each episode. It does not reveal the world."""
-    return int.from_bytes(hashlib.sha256(f"agent of episode {episode}".encode()).digest()[:4], "big")
-
-
 CURVE = ("ticks", "map_error", "coverage")
 CURVE_STEP = 10  # [ticks] least distance between points of a curve, since twist episodes have many steps
 
@@ -110,7 +105,8 @@ def begin_episode(env: gym.Env[Any, Any], agent: Agent, episode: int) -> tuple[d
     """Reset environment and agent for the i-th episode; returns the first observation and info. The clairvoyant driver,
     identified by its class, receives the truth here; no other agent does."""
     observation, info = env.reset(**reset_arguments(episode))
-    agent.reset(agent_seed(episode))
+    digest = hashlib.sha256(f"agent of episode {episode}".encode()).digest()
+    agent.reset(int.from_bytes(digest[:4], "big"))  # different for each episode, and does not reveal the world
     if isinstance(agent, Clairvoyant):
         agent.behold(env.unwrapped.episode)  # type: ignore[attr-defined]
     return observation, info

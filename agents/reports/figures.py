@@ -116,9 +116,8 @@ def side_by_side(pictures: Mapping[str, Path]) -> Figure:
     across = min(len(pictures), 3)
     down = math.ceil(len(pictures) / across)
     figure = _figure(0.3 + 0.88 * down * WIDTH / across)
-    axes = figure.subplots(down, across, squeeze=False).ravel()
-    for axis in axes:
-        axis.axis("off")
+    empty = {"frame_on": False, "xticks": [], "yticks": []}
+    axes = figure.subplots(down, across, squeeze=False, subplot_kw=empty).ravel()
     for axis, (name, path) in zip(axes, pictures.items()):
         axis.imshow(matplotlib.image.imread(path), interpolation="antialiased")
         axis.set_title(display_name(name), fontsize=11)
@@ -151,9 +150,9 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
     """Score against the knob, with levels at equal distances and interval bands; `curves` are name → knob → score."""
     figure = _figure(3.5)
     axis = figure.subplots()
-    for i, (name, curve) in enumerate(curves.items()):
+    for (name, curve), marker in zip(curves.items(), cycle(MARKERS)):
         x = np.arange(len(curve))
-        _line(axis, x, curve.values(), name, colour[name], MARKERS[i % len(MARKERS)])
+        _line(axis, x, curve.values(), name, colour[name], marker)
         axis.set_xticks(x, [f"{knob:g}" for knob in curve])
     axis.set(xlabel=label, ylabel="score", ylim=(-0.02, 1.04))
     figure.legend(loc="outside right upper")

@@ -229,12 +229,8 @@ def relocations(frame: pd.DataFrame, title: str = "") -> Table:
 def by_world(frame: pd.DataFrame, key: str = "score") -> pd.DataFrame:
     """The mean of a number over the levels, with a row for each name and world and a column for each experiment, in the
     order of the suite; column `all` is the mean of these. NaN for a world that lacks the number in one level."""
-    groups = frame.groupby(["experiment", "name", "episode"])[key]
-    levels = frame.groupby("experiment")["setting"].nunique()
-    counts = groups.count()
-    complete = groups.mean().where(counts == counts.index.get_level_values("experiment").map(levels))
-    table = complete.unstack("experiment")
-    table = table[[name for name in EXPERIMENTS if name in table]]
+    wide = frame.pivot(index=["name", "episode"], columns=["experiment", "setting"], values=key)
+    table = pd.DataFrame({name: wide[name].mean(axis=1, skipna=False) for name in EXPERIMENTS if name in wide})
     return table.assign(all=table.mean(axis=1, skipna=False))
 
 
