@@ -51,13 +51,12 @@ class _SeveralValues(typer.core.TyperCommand):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
         repeated = {name for p in self.params if getattr(p, "multiple", False) for name in p.opts}
-        option, values, expanded = "", 0, []
+        option, expanded = "", list[str]()
         for word in args:
             if word.startswith("-"):
-                option, values = word, 0
-            else:
-                expanded += [option] if option in repeated and values else []
-                values += 1
+                option = word
+            elif option in repeated and expanded[-1] != option:
+                expanded.append(option)  # a further value
             expanded.append(word)
         return super().parse_args(ctx, expanded)
 

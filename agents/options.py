@@ -4,7 +4,7 @@ The package is imported only when a command uses its options, so that `--help` i
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -100,8 +100,7 @@ class AssociateWorld:
         """Arguments of the environment for each scenario."""
         from agents.evaluation.episodes import AssociateArguments
 
-        arguments = {field.name: getattr(self, field.name) for field in fields(self)}
-        arguments |= {"overrides": parsed_overrides(self.overrides), "split": split}
+        arguments = vars(self) | {"overrides": parsed_overrides(self.overrides), "split": split}
         return [AssociateArguments(**arguments | {"scenario": name}) for name in self.scenario or DRIFTING]
 
 

@@ -90,11 +90,11 @@ class EntryProcess:
                 return message["answer"]
             reason = message["error"]
         except TimeoutError:
-            raise self.refuse(f"no answer in {seconds:g} s") from None
+            reason = f"no answer in {seconds:g} s"
         except (OSError, asyncio.IncompleteReadError):
-            raise self.refuse("its process ended") from None
+            reason = "its process ended"
         except (*_NONSENSE, RecursionError, asyncio.LimitOverrunError):
-            raise self.refuse("its answer is nonsense") from None
+            reason = "its answer is nonsense"
         raise self.refuse(reason)
 
     async def _exchange(self, request: bytes) -> bytes:
@@ -185,11 +185,8 @@ def _load(role: str, name: str) -> tuple[dict[str, Any], Callable[..., Any]]:
     if not model and not hasattr(find_agent(name), "act"):
         raise ValueError("it cannot act: give --role where it is no agent")
     agent = make_agent("ppo", name) if model else make_agent(name)
-
-    def drive(method: str, *request: Any) -> Any:
-        return agent.reset(*request) if method == "reset" else agent.act(*request)
-
-    return {"name": agent.name, "action": agent.action}, drive
+    about = {"name": agent.name, "action": agent.action}
+    return about, lambda method, *request: getattr(agent, method)(*request)
 
 
 def _plain(value: Any) -> Any:
