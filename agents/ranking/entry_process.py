@@ -3,9 +3,8 @@
 The evaluator imports no code of an entry and unpickles none of its data: answers are JSON, with a limit on length and
 time. An entry that fails loses the episode. There is no defence against reading the memory of another process.
 
-The process runs this module by `main`, and contains no simulator. A request arrives on stdin: its length in eight
-bytes, and a pickle that the evaluator wrote. An answer goes to stdout as one line of JSON; everything that the entry
-prints goes to stderr.
+The process runs this module by `main`, and contains no simulator. A request arrives on stdin as a pickle that the
+evaluator wrote. An answer goes to stdout as one line of JSON; everything that the entry prints goes to stderr.
 """
 
 import asyncio
@@ -98,9 +97,8 @@ class EntryProcess:
         raise self.refuse(reason)
 
     async def _exchange(self, request: bytes) -> bytes:
-        if request:
-            self._process.stdin.write(len(request).to_bytes(8, "little") + request)
-            await self._process.stdin.drain()
+        self._process.stdin.write(request)
+        await self._process.stdin.drain()
         return await self._process.stdout.readuntil(b"\n")
 
 
@@ -200,16 +198,15 @@ def _plain(value: Any) -> Any:
 
 def main(role: str, name: str) -> None:
     """Answer requests until there are no more. An error of the entry is the last answer."""
-    incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "w", encoding="utf-8")
+    incoming, outgoing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:
         answer, entry = _load(role, name)
         while True:
             print(json.dumps({"answer": answer}, default=_plain), file=outgoing, flush=True)
-            length = incoming.read(8)
-            if len(length) < 8:
+            if not incoming.peek(1):
                 return
-            answer = entry(*pickle.loads(incoming.read(int.from_bytes(length, "little"))))
+            answer = entry(*pickle.load(incoming))
     except Exception as error:
         print(json.dumps({"error": f"{type(error).__name__}: {error}"}), file=outgoing, flush=True)
 
