@@ -41,13 +41,12 @@ def main(
         slam, poses, doubted = mapped.slam, mapped.poses, mapped.doubted
         base = recording.name.replace("/", "-")
         files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
-        columns = []
+        tables = []
         for number, m in enumerate(slam.maps):
-            deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
-            of_map = np.full(m.n, number)
-            columns.append(np.column_stack([of_map, m.ids, m.positions, deviations, m.seen])[~m.provisional])
-        names = ["map", "id", "x", "y", "sigma_x", "sigma_y", "sightings"]
-        table = pd.DataFrame(np.concatenate(columns), columns=names).astype({"map": int, "id": int, "sightings": int})
+            (x, y), (sigma_x, sigma_y) = m.positions.T, np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2)).T
+            features = {"map": number, "id": m.ids, "x": x, "y": y, "sigma_x": sigma_x, "sigma_y": sigma_y}
+            tables.append(pd.DataFrame(features | {"sightings": m.seen})[~m.provisional])
+        table = pd.concat(tables)
         table.to_csv(files[0], index=False, float_format="%.6g")
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")

@@ -66,8 +66,6 @@ def compare(log: Recording, poses: Array) -> Comparison:
     """Poses (T, 3) of a log's steps beside its reference, at common instants: of the two, the one with more samples
     during the log is interpolated at the samples of the other."""
     t, reference = log.reference_times, log.reference_poses
-    if len(t) == 0:
-        return Comparison(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
     during = (t >= log.times[0]) & (t <= log.times[-1])
     if during.sum() <= len(log):
         rows = during & _close(log.times, t)
@@ -78,10 +76,9 @@ def compare(log: Recording, poses: Array) -> Comparison:
 
 def _close(times: Array, instants: Array) -> BoolArray:
     """(k,) whether each of `instants` (k,) lies between two of `times` that are at most MAX_GAP apart."""
-    after = np.clip(np.searchsorted(times, instants), 0, len(times) - 1)
-    before = np.where(times[after] == instants, after, np.maximum(after - 1, 0))
-    within = (instants >= times[0]) & (instants <= times[-1])
-    return within & (times[after] - times[before] <= MAX_GAP)
+    padded = np.concatenate([[-np.inf], times, [np.inf]])
+    before, after = np.searchsorted(times, instants, side="right"), np.searchsorted(times, instants) + 1
+    return padded[after] - padded[before] <= MAX_GAP
 
 
 @dataclass(frozen=True)
