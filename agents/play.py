@@ -128,17 +128,23 @@ class Game:
         unpaired = np.full(len(scan), UNPAIRED)
         return Relocation(unpaired, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
 
-    def rival(self, world: int) -> float:
-        """The map error of information gain in a world, with the associator with which the game began."""
+    def verdict(self, world: int, info: Info) -> str:
+        """The end of a world, beside that of information gain with the associator with which the game began."""
         from agents.drivers.base import make_agent
         from agents.evaluation.episodes import run_episode
 
         if world not in self.rivals:
-            rival = make_agent(RIVAL)
-            env = self.arguments.make(rival.action)
-            self.rivals[world] = float(run_episode(env, rival, world)["map_error"])
+            driver = make_agent(RIVAL)
+            env = self.arguments.make(driver.action)
+            self.rivals[world] = float(run_episode(env, driver, world)["map_error"])
             env.close()
-        return self.rivals[world]
+        quality, rival = info["map_quality"], self.rivals[world]
+        own = float(quality["map_error"])
+        who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
+        return (
+            f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
+            f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
+        )
 
     def state(self, env: gym.Env[Any, Any]) -> str:
         """A line about the present state."""
@@ -174,18 +180,8 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
         if not ended:
             observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
             if ended:
-                verdict = _verdict(game, world, info)
+                verdict = game.verdict(world, info)
                 print(verdict)
-
-
-def _verdict(game: Game, world: int, info: Info) -> str:
-    quality, rival = info["map_quality"], game.rival(world)
-    own = float(quality["map_error"])
-    who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
-    return (
-        f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
-        f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
-    )
 
 
 def main(
