@@ -117,7 +117,7 @@ def checked(env: Any, seed: int) -> Iterator[Step]:
 
 
 def check_covariance(covariance: np.ndarray) -> None:
-    """Raise AssertionError unless `covariance` is finite, symmetric and, to 1e-9, positive semi-definite."""
+    """Raise AssertionError unless `covariance` is finite, symmetric and positive semi-definite, but for rounding."""
     assert np.isfinite(covariance).all(), "the covariance is not finite"
     assert np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0), "the covariance is not symmetric"
     assert (np.diag(covariance) >= 0.0).all(), "a variance is negative"
