@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -94,7 +94,7 @@ class Identities:
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
         self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id, features no longer in the map included
         self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of its oldest feature in the map
-        self._measured: dict[int, Counter[int]] = {}  # id -> how many of its measurements came from each source
+        self._measured: dict[int, Counter[int]] = defaultdict(Counter)  # id -> number of its measurements by source
         self._in_map: dict[int, list[int]] = {}  # source -> ids of its features in the map, oldest first
 
     @property
@@ -139,7 +139,7 @@ class Identities:
         )  # fmt: skip
         for feature, source, new in zip(step.ids.tolist(), truth.sources.tolist(), step.created.tolist()):
             if new or (feature != NO_ID and source != UNLABELLED):
-                self._measured.setdefault(feature, Counter())[source] += 1
+                self._measured[feature][source] += 1
         if started:
             for i in step.created.nonzero()[0].tolist():
                 self._add(step.ids.item(i), truth.sources.item(i))
