@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, cho_solve
 from scipy.sparse import csc_array
 
 from slam_gym.geometry import wrap_angle
@@ -26,6 +26,7 @@ from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import ROUNDING, aligned_zeros, cholesky, padded, subtract_squares, whiten
 from slam_gym.mapping.smoothing import FactorGraph, Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import MapState, StochasticMap
+from slam_gym.mapping.update import corrected, express_at, invariant_innovation
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
@@ -151,7 +152,7 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
     if len(np.unique(dropped)) < len(dropped) or len(np.intersect1d(kept, dropped)):
         raise ValueError(f"pairs: {pairs.tolist()} delete a feature twice, or one that is to be kept")
     state = m.state
-    mean, covariance = equality_update(state.mean, state.covariance, pairs)
+    mean, covariance = equality_update(state.mean, state.covariance, pairs, m.spec.right_invariant)
     take_over(state.counted, state.sized, kept, dropped)
     fused = StochasticMap.of_state(m.spec, replace(state, mean=mean, covariance=covariance))
     fused.remove(dropped)
@@ -182,13 +183,14 @@ def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray
             sizes[a], variances[a] = sizes[b], variances[b]
 
 
-def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Array]:
+def equality_update(mean: Array, P: Array, pairs: IntArray, invariant: bool) -> tuple[Array, Array]:
     """x (d,) and P (d, d) given F_a = F_b for all pairs (k, 2) at once; P becomes singular, as both are then equal.
 
     H = [… I … −I …], ν = −H x, S = H P Hᵀ = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν, P ← P − Wᵀ W. Raises ValueError where
     S is not positive definite, as when two features are known exactly.
 
-    It is linear in x and P, also where the errors of the map are right-invariant: it suits small errors of the heading.
+    It is linear in x and P, unless the errors are right-`invariant`: then δ = K V(δθ)⁻¹ ν moves x along the group, as
+    in `mapping.update`, so that the error of the heading may be large.
     """
     if not len(pairs):
         return mean.copy(), P.copy()
@@ -202,8 +204,12 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     if not cholesky(S):
         raise ValueError("pairs: the covariance of their differences is singular")
     nu = mean[second] - mean[first]
+    if invariant:
+        nu = invariant_innovation(nu, cho_solve((S, True), W[:, 2]))
     whiten(S, W, nu)
-    out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)
-    out[2] = wrap_angle(out[2])
+    _, out = corrected(mean, W, nu, d, invariant)
     subtract_squares(posterior, W)
+    if invariant:
+        express_at(posterior, d, mean, out)
+    out[2] = wrap_angle(out[2])
     return out, ekf.symmetric(posterior, d)

@@ -126,6 +126,11 @@ class StochasticMap:
         return np.stack([P[x, x], P[x, y], P[x, y], P[y, y]], axis=1).reshape(-1, 2, 2)
 
     @property
+    def heading_covariances(self) -> Array:
+        """(n, 2) [m·rad] covariances of the robot's heading with the coordinates of each feature."""
+        return self._P[2, 3 : self._d].reshape(-1, 2).copy()
+
+    @property
     def mean(self) -> Array:
         """(3 + 2n,) state: robot, then features."""
         return self._x[: self._d].copy()

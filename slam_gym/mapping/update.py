@@ -26,6 +26,8 @@ from slam_gym.mapping.ekf import check_measurement, turned
 from slam_gym.mapping.linear_algebra import LANES, ROUNDING, cholesky, subtract_squares, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray
 
+_TURNS, _SETTLED = 30, 1e-9  # most iterations, and [rad] the change of δθ after which no more follow
+
 
 @compiled
 def update(
@@ -63,7 +65,7 @@ def update(
             raise ValueError("the innovation covariance is singular to working precision")
         whiten(S, W, nu)
         previous, passes_left = change, passes_left - 1
-        change, x_new = _corrected(x, W, nu, d, invariant)
+        change, x_new = corrected(x, W, nu, d, invariant)
         if passes_left <= 0 or _step_error(x_old, x_new, x_lin, change - previous, R, paired) <= settled * settled:
             break
         x_old, x_lin = x_new, x_new
@@ -72,7 +74,7 @@ def update(
             x_lin[2] = x_new[2]
     subtract_squares(P, W)
     if invariant:
-        _express_at(P, d, x, x_new)
+        express_at(P, d, x, x_new)
     for j in range(d):
         x[j] = x_new[j]
     x[2] = wrap_angle(x[2])
@@ -151,7 +153,7 @@ def _rows_of_HP(x_lin: Array, P: Array, d: int, f: int, robot: Array, out_x: Arr
 
 
 @compiled
-def _corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[Array, Array]:
+def corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[Array, Array]:
     """The correction K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them; and x + K ν, or x + V(δθ) K ν."""
     change, out = np.zeros(W.shape[1]), x.copy()
     for i in range(len(nu)):
@@ -159,11 +161,7 @@ def _corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[
         for j in range(len(change)):
             change[j] += row[j] * nu[i]
     turn = change[2]
-    a, b = 1.0, 0.0  # V(φ) = [a −b; b a]
-    if invariant:
-        a, b = 1.0 - turn * turn / 6.0, 0.5 * turn
-        if abs(turn) > 1e-4:
-            a, b = math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
+    a, b = left_jacobian(turn) if invariant else (1.0, 0.0)
     out[0] += a * change[0] - b * change[1]
     out[1] += b * change[0] + a * change[1]
     out[2] += turn
@@ -171,6 +169,43 @@ def _corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[
         out[f] += a * change[f] - b * change[f + 1]
         out[f + 1] += b * change[f] + a * change[f + 1]
     return change, out
+
+
+@compiled
+def left_jacobian(turn: float) -> tuple[float, float]:
+    """a and b of the left Jacobian V(φ) = ∫₀¹ Rot(sφ) ds = [a −b; b a] for a turn φ [rad]."""
+    if abs(turn) < 1e-4:
+        return 1.0 - turn * turn / 6.0, 0.5 * turn
+    return math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
+
+
+@compiled
+def left_jacobian_inverse(nu: Array, turn: float) -> Array:
+    """V(φ)⁻¹ ν for each row of ν (k, 2); φ [rad] is limited to half a turn."""
+    a, b = left_jacobian(min(max(turn, -math.pi), math.pi))
+    out, squared = np.empty_like(nu), a * a + b * b
+    for k in range(len(nu)):
+        out[k, 0], out[k, 1] = (a * nu[k, 0] + b * nu[k, 1]) / squared, (a * nu[k, 1] - b * nu[k, 0]) / squared
+    return out
+
+
+@compiled
+def invariant_innovation(nu: Array, gain: Array) -> Array:
+    """V(δθ)⁻¹ ν (2k,), the innovation of F_a − F_b = 0 for k pairs of features of a map with right-invariant errors.
+
+    ν = F_b − F_a (2k,). A correction δ moves each feature by V(δθ) δF, so that F_a = F_b afterwards if δF_a − δF_b =
+    V(δθ)⁻¹ ν, which is linear in δ. Its δθ = K_θ V(δθ)⁻¹ ν is found by iteration; `gain` (2k,) is the row K_θ of the
+    Kalman gain.
+    """
+    differences, turn = nu.reshape(-1, 2), 0.0
+    for _ in range(_TURNS):
+        out = left_jacobian_inverse(differences, turn).ravel()
+        before, turn = turn, 0.0
+        for i in range(len(out)):
+            turn += gain[i] * out[i]
+        if abs(turn - before) < _SETTLED:
+            break
+    return out
 
 
 @compiled
@@ -201,7 +236,7 @@ def _step_error(x_old: Array, x_new: Array, x_lin: Array, change: Array, covaria
 
 
 @compiled
-def _express_at(P: Array, d: int, x: Array, x_new: Array) -> None:
+def express_at(P: Array, d: int, x: Array, x_new: Array) -> None:
     """P ← M P Mᵀ, M = I + a e_θᵀ with a = J(x_new − x); with b = P e_θ + ½ a P_θθ, this is P + a bᵀ + b aᵀ."""
     a, b = np.zeros(d), np.empty(d)
     a[0], a[1] = x[1] - x_new[1], x_new[0] - x[0]

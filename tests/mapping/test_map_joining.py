@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_equality_update_is_the_estimate_on_the_subspace_of_equal_features(seed:
     N = np.linalg.svd(constraint)[2][len(constraint) :].T
     information = np.linalg.inv(P)
     expected = N @ np.linalg.inv(N.T @ information @ N) @ N.T
-    x, after = equality_update(mean, P, pairs)
+    x, after = equality_update(mean, P, pairs, invariant=False)
     estimate = expected @ information @ mean
     estimate[2] = wrap_angle(estimate[2])
     np.testing.assert_allclose(x, estimate, rtol=0, atol=1e-8)
@@ -237,6 +238,21 @@ def test_pairs_that_make_no_sense_and_ids_given_twice_are_refused(pairs: list[li
         equate(join(a, b), np.array(pairs))
     with pytest.raises(ValueError, match="ids"):
         join(a, a)
+
+
+@pytest.mark.parametrize("turn", [-1.2, 0.3, 0.9])
+def test_equality_turns_what_an_error_of_the_heading_has_turned(turn: float) -> None:
+    points = np.array([[4.0, 1.0], [6.0, -2.0], [3.0, 5.0], [-7.0, 2.0], [0.0, -8.0]])
+    scan = make_scan(points, np.tile(1e-8 * np.eye(2), (5, 1, 1)))
+    m = StochasticMap(KEEP)
+    m.add(scan, np.arange(5))
+    m.predict(Odometry(np.array([0.0, 0.0, turn]), np.diag([1e-9, 1e-9, 1.0])))  # in truth the robot stands still
+    m.add(scan, np.arange(5))
+    fused = equate(m, np.array([[0, 5], [1, 6]]))
+    np.testing.assert_allclose(fused.positions, np.concatenate([points, points[2:]]), atol=1e-3)
+    np.testing.assert_allclose(fused.pose, 0.0, atol=1e-3)
+    linear = equate(StochasticMap.of_state(replace(KEEP, right_invariant=False), m.state), np.array([[0, 5], [1, 6]]))
+    assert np.abs(linear.positions[5:] - points[2:]).max() > 0.2  # what would be wrong with errors of x itself
 
 
 def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:

@@ -6,6 +6,9 @@ newer features as a whole,
     D² = νᵀC⁻¹ν = D²_shape + D²_motion,    D²_shape = min_δ (ν − Gδ)ᵀC⁻¹(ν − Gδ) = νᵀQν,
     Q = C⁻¹ − C⁻¹G(GᵀC⁻¹G)⁻¹GᵀC⁻¹,
 
+Where the errors of the map are right-invariant, the innovations are V(δθ)⁻¹ (F_i − F_j) instead, so that the motion
+between the parts may turn by tens of degrees (`mapping.update.invariant_innovation`).
+
 D²_shape has 2k − 3 degrees of freedom and tests whether both have one shape; D²_motion has 3 and tests whether the
 motion between them is one that the map considers possible. D²_shape is tested as it is. In D²_motion filters become
 optimistic, so its standard deviations are multiplied by `RecognitionSpec.inflation`. The part of D²_shape that one pair
@@ -20,6 +23,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import unary_table
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.mapping.update import invariant_innovation
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, rigid_motions
 from slam_gym.types import Array, BoolArray, IntArray
 
@@ -41,16 +45,27 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
 
     Raises ValueError for a feature that does not exist, LinAlgError for one that is in two pairs.
     """
-    k, positions, C = len(pairs), m.positions, difference_covariance(m, pairs)
-    moved = positions[pairs[:, 1]]
-    nu, G = (moved - positions[pairs[:, 0]]).ravel(), rigid_motions(moved)
-    W = np.linalg.inv(0.5 * (C + C.T) + VARIANCE_FLOOR * np.eye(2 * k))
+    k, (nu, C) = len(pairs), innovation(m, pairs)
+    G, W = rigid_motions(m.positions[pairs[:, 1]]), np.linalg.inv(0.5 * (C + C.T))
     WG = W @ G
     Q = W - WG @ np.linalg.solve(G.T @ WG, WG.T)
     weighted, rows = (Q @ nu).reshape(k, 2), np.arange(k)
     added = np.einsum("ki,kij,kj->k", weighted, np.linalg.inv(Q.reshape(k, 2, k, 2)[rows, :, rows, :]), weighted)
     shape = max(float(nu @ Q @ nu), 0.0)
     return Agreement(shape, 2 * k - 3, max(float(nu @ W @ nu) - shape, 0.0), added)
+
+
+def innovation(m: StochasticMap, pairs: IntArray) -> tuple[Array, Array]:
+    """ν (2k,) [m] of all pairs (j, i) of an older and a newer feature, (k, 2), and its covariance C (2k, 2k) [m²].
+
+    ν = F_i − F_j, or V(δθ)⁻¹ (F_i − F_j) with the correction δθ of the heading that the pairs imply.
+    """
+    (older, newer), C = pairs.T, difference_covariance(m, pairs) + VARIANCE_FLOOR * np.eye(2 * len(pairs))
+    nu = (m.positions[newer] - m.positions[older]).ravel()
+    if m.spec.right_invariant:
+        of_heading = m.heading_covariances
+        nu = invariant_innovation(nu, np.linalg.solve(C, (of_heading[older] - of_heading[newer]).ravel()))
+    return nu, C
 
 
 def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:

@@ -10,6 +10,7 @@ from slam_gym.geometry import transform
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.places.fusion import fuse
 from slam_gym.slam.places.loops import compatible_pairs, find_loop
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec
 from slam_gym.types import Array, IntArray, Odometry
@@ -166,18 +167,41 @@ def test_too_few_pairs_and_pairs_that_chance_may_bring_close_no_loop() -> None:
     assert len(find_loop(m, graph, replace(SPEC, max_accidental_loops=1e-9))) == 0
 
 
+def test_a_loop_is_found_and_closed_by_a_robot_that_hardly_knows_its_heading() -> None:
+    for seed, turn in enumerate((-0.9, -0.5, 0.3, 0.8)):
+        rng = np.random.default_rng((8, seed))
+        older = field(rng, 30)
+        m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+        enter(m, graph, older, rng, SIGMA)
+        m.step += 100
+        m.predict(Odometry(np.array([0.2, -0.2, turn]), np.diag([0.2, 0.2, 0.5]) ** 2))  # in truth it stays
+        enter(m, graph, older[:12], rng, SIGMA)
+        pairs = loop_in(m, graph)
+        assert len(pairs) >= 10 and (pairs[:, 0] == pairs[:, 1] - 30).all(), f"turn {turn}"
+        closed = fuse(m, graph, pairs[:4]).map
+        moved = closed.positions[30:]  # the newer features that were not fused
+        np.testing.assert_allclose(moved, np.delete(older[:12], pairs[:4, 0], axis=0), atol=8.0 * SIGMA)
+        assert abs(closed.pose[2]) < 0.05
+
+
 def grown(m: StochasticMap, pairs: IntArray, seed: int, gates: Array) -> list[int]:
-    """The set that grows from one of the pairs (k, 2), by conditioning all innovations on those of the set at once."""
+    """The set that grows from one of the pairs (k, 2), by conditioning all innovations on those of the set at once.
+
+    They are turned by the correction of the heading that the set implies."""
     H = np.zeros((2 * len(pairs), 2 * m.n))
     for row, (older, newer) in enumerate(pairs):
         H[2 * row : 2 * row + 2, 2 * newer : 2 * newer + 2] = np.eye(2)
         H[2 * row : 2 * row + 2, 2 * older : 2 * older + 2] = -np.eye(2)
-    C, nu = H @ m.covariance[3:, 3:] @ H.T, H @ m.positions.ravel()
+    C, of_heading = H @ m.covariance[3:, 3:] @ H.T, H @ m.covariance[3:, 2]
+    raw = (H @ m.positions.ravel()).reshape(-1, 2) @ [1.0, 1.0j]
     chosen, open_ = [seed], set(range(len(pairs)))
     while True:
         open_ = {q for q in open_ if not np.isin(pairs[q], pairs[chosen]).any()}
         given = (2 * np.array(chosen)[:, None] + np.arange(2)).ravel()
-        scores = {}
+        turn, scores = 0.0, {}
+        for _ in range(20):
+            nu = (raw / (np.expm1(1j * turn) / (1j * turn) if turn else 1.0)).view(np.float64)
+            turn = -float(of_heading[given] @ np.linalg.solve(C[np.ix_(given, given)], nu[given]))
         for q in sorted(open_):
             rows = 2 * q + np.arange(2)
             gain = np.linalg.solve(C[np.ix_(given, given)], C[np.ix_(given, rows)]).T
