@@ -255,6 +255,25 @@ def test_equality_turns_what_an_error_of_the_heading_has_turned(turn: float) -> 
     assert np.abs(linear.positions[5:] - points[2:]).max() > 0.2  # what would be wrong with errors of x itself
 
 
+def test_equality_is_consistent_where_the_heading_is_known_to_20_degrees() -> None:
+    sigma, of_robot, count = 0.05, np.array([0.3, 0.3, 0.35]), 100
+    invariant, linear = [], []
+    for seed in range(count):
+        rng = np.random.default_rng((90, seed))
+        points, noise = rng.uniform(-8.0, 8.0, (10, 2)), np.tile(sigma**2 * np.eye(2), (10, 1, 1))
+        m = StochasticMap(KEEP)
+        m.add(make_scan(points + rng.normal(0.0, sigma, (10, 2)), noise), np.arange(10))
+        m.predict(Odometry(of_robot * rng.standard_normal(3), np.diag(of_robot**2)))  # in truth the robot stands still
+        m.add(make_scan(points[:6] + rng.normal(0.0, sigma, (6, 2)), noise[:6]), np.arange(6))
+        true = np.concatenate([np.zeros(3), points.ravel(), points[3:6].ravel()])
+        for spec, errors in ((KEEP, invariant), (replace(KEEP, right_invariant=False), linear)):
+            fused = equate(StochasticMap.of_state(spec, m.state), np.array([[0, 10], [1, 11], [2, 12]]))
+            errors.append(nees(fused.mean - true, fused.covariance))
+    low, high = anees_interval(count, len(true), 0.999)
+    assert low < np.mean(invariant) / len(true) < high
+    assert np.mean(linear) / len(true) > 10.0
+
+
 def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
     rng = np.random.default_rng(9)
     for _ in range(100):
