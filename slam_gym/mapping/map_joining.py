@@ -26,7 +26,7 @@ from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import ROUNDING, aligned_zeros, cholesky, padded, subtract_squares, whiten
 from slam_gym.mapping.smoothing import FactorGraph, Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import MapState, StochasticMap
-from slam_gym.mapping.update import corrected, express_at, invariant_innovation
+from slam_gym.mapping.update import corrected, express_at, heading_correction, left_jacobian_inverse
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
@@ -205,7 +205,8 @@ def equality_update(mean: Array, P: Array, pairs: IntArray, invariant: bool) -> 
         raise ValueError("pairs: the covariance of their differences is singular")
     nu = mean[second] - mean[first]
     if invariant:
-        nu = invariant_innovation(nu, cho_solve((S, True), W[:, 2]))
+        turn = heading_correction(nu.reshape(-1, 2), cho_solve((S, True), W[:, 2]))
+        nu = left_jacobian_inverse(nu.reshape(-1, 2), turn).ravel()
     whiten(S, W, nu)
     _, out = corrected(mean, W, nu, d, invariant)
     subtract_squares(posterior, W)

@@ -190,22 +190,19 @@ def left_jacobian_inverse(nu: Array, turn: float) -> Array:
 
 
 @compiled
-def invariant_innovation(nu: Array, gain: Array) -> Array:
-    """V(δθ)⁻¹ ν (2k,), the innovation of F_a − F_b = 0 for k pairs of features of a map with right-invariant errors.
+def heading_correction(nu: Array, gain: Array) -> float:
+    """The correction δθ [rad] of right-invariant errors that makes F_a = F_b for k pairs of features.
 
-    ν = F_b − F_a (2k,). A correction δ moves each feature by V(δθ) δF, so that F_a = F_b afterwards if δF_a − δF_b =
-    V(δθ)⁻¹ ν, which is linear in δ. Its δθ = K_θ V(δθ)⁻¹ ν is found by iteration; `gain` (2k,) is the row K_θ of the
-    Kalman gain.
+    ν = F_b − F_a (k, 2). A correction δ moves each feature by V(δθ) δF, so that F_a = F_b afterwards if δF_a − δF_b =
+    V(δθ)⁻¹ ν, which is linear in δ: V(δθ)⁻¹ ν is the innovation, and δθ = K_θ V(δθ)⁻¹ ν is found by iteration. `gain`
+    (2k,) is the row K_θ of the Kalman gain.
     """
-    differences, turn = nu.reshape(-1, 2), 0.0
+    turn = 0.0
     for _ in range(_TURNS):
-        out = left_jacobian_inverse(differences, turn).ravel()
-        before, turn = turn, 0.0
-        for i in range(len(out)):
-            turn += gain[i] * out[i]
+        before, turn = turn, float((gain * left_jacobian_inverse(nu, turn).ravel()).sum())
         if abs(turn - before) < _SETTLED:
             break
-    return out
+    return turn
 
 
 @compiled

@@ -9,7 +9,7 @@ of the set, as by a Kalman update, and of the pairs that are still compatible th
 added, the one with the highest likelihood. The set is complete when none is left. One pair determines the shift and a
 second one the turn of the recent part; filters become optimistic in both, so the gates of these two are wide. A robot
 may return with a heading that is wrong by tens of degrees, for which no linear test holds: after each pair, the
-innovations are corrected for the turn that the set implies (`mapping.update.invariant_innovation`). Sets grow from all
+innovations are corrected for the turn that the set implies (`mapping.update.heading_correction`). Sets grow from all
 pairs of as many recent features as `_SEEDS` allows, and the largest set is verified, of equals the likeliest. Pairs
 whose features were seen together in one scan are not the same feature, and are left out.
 
@@ -30,14 +30,13 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.mapping.update import left_jacobian_inverse
+from slam_gym.mapping.update import heading_correction, left_jacobian_inverse
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of
-from slam_gym.slam.places.verification import agreeing, attributes_agree, innovation, overlap
+from slam_gym.slam.places.verification import agreeing, attributes_agree, heading_covariances, innovation, overlap
 from slam_gym.types import Array, BoolArray, IntArray
 
 NO_PAIRS = np.empty((0, 2), np.int64)
 _SEEDS = 800  # most pairs from which sets grow; one recent feature may have more
-_TURNS, _SETTLED = 10, 1e-4  # most iterations, and [rad] the change of a turn after which no more follow
 _MOST_PAIRS = 20_000  # with more possible pairs, the prior is too weak, and nothing is searched for
 
 
@@ -74,11 +73,8 @@ def compatible_pairs(
     pairs = np.column_stack([parts.older[older], parts.recent[newer]])
     chosen = _spread(np.unique(newer), max(_SEEDS * len(parts.recent) // len(newer), 1))
     seeds, (_, P, *_) = np.flatnonzero(np.isin(newer, chosen)), m.arrays
-    differences, of_heading = m.positions[pairs[:, 1]] - m.positions[pairs[:, 0]], np.zeros((len(pairs), 2))
-    if m.spec.right_invariant:
-        of_heading = m.heading_covariances[pairs[:, 0]] - m.heading_covariances[pairs[:, 1]]
-    given, gates = (differences, of_heading), np.array([wide_gate, gate])
-    sets, scores = _grow_sets(P, pairs, given, seeds, gates, len(parts.recent))
+    given = m.positions[pairs[:, 1]] - m.positions[pairs[:, 0]], heading_covariances(m, pairs)
+    sets, scores = _grow_sets(P, pairs, given, seeds, np.array([wide_gate, gate]), len(parts.recent))
     sizes = (sets >= 0).sum(axis=1)
     best = sets[np.lexsort((scores, -sizes))[0], : sizes.max()]
     rivals = sizes[~np.isin(sets, best).any(axis=1)]
@@ -116,7 +112,7 @@ def _grow_sets(
         P: (≥ 3 + 2n, ≥ 3 + 2n) covariance of the map, of which the upper triangle is used.
         pairs: (k, 2) an older and a newer feature each.
         given: (k, 2) F_i − F_j of each pair of an older feature j and a newer one i, and (k, 2) the covariance of the
-            heading with F_j − F_i, or zeros where the errors of the map are not right-invariant.
+            heading with F_j − F_i (see `verification.heading_covariances`).
         gates: (2,) χ² gate of the second pair of a set, and of all later ones.
         most: most pairs of a set.
     """
@@ -147,20 +143,25 @@ def _grow(
 
     ν (k, 2) and S (k, 2, 2) are conditioned on the coordinates of each chosen pair one after the other. With
     w_q = Cov(q, r) / σ_r the covariance of q and an earlier coordinate r, given those before, each coordinate changes S
-    by −w wᵀ, in place, and ν by −w e_r, where e_r is the conditioned innovation of r over σ_r. ν is computed anew after
-    each pair, since the correction of the heading that the set implies changes. `w` (2 most, k, 2) is working memory.
+    by −w wᵀ, in place, and ν by −w e_r, where e_r is the conditioned innovation of r over σ_r: e = L⁻¹ ν, with L Lᵀ the
+    covariance of the set. ν is computed again after each pair, since the correction of the heading that the set implies
+    changes. `w` (2 most, k, 2) is working memory.
     """
     possible, added = np.arange(len(pairs)), seed  # the pairs that may still be added, and the one that is
-    (differences, of_heading), whitening = given, np.zeros((3, len(w)))  # e, σ, and Cov(heading, r) / σ_r, by r
+    (differences, of_heading), inverse, gain = given, np.zeros((len(w), len(w))), np.zeros(len(w))  # L⁻¹; gain of δθ
     nu = differences.copy()
     distance, determinant = _distance(nu[seed], S[seed])
     total = distance + math.log(determinant)
     for size in range(len(chosen)):
         chosen[size] = added
+        so_far, rows = chosen[: size + 1], 2 * size + 2
         for a in range(2):
             r, sigma = 2 * size + a, math.sqrt(max(S[added, a, a], VARIANCE_FLOOR))
-            whitening[1, r] = sigma
-            whitening[2, r] = (of_heading[added, a] - _explained(w, added, a, whitening[2], r)) / sigma
+            inverse[r, r] = 1.0
+            for earlier in range(r):
+                inverse[r] -= w[earlier, added, a] * inverse[earlier]
+            inverse[r] /= sigma
+            gain += inverse[r] * (inverse[r, :rows] * of_heading[so_far].ravel()).sum()
             for q in possible:
                 for b in range(2):
                     covariance = _covariance(P, pairs[added], a, pairs[q], b)
@@ -170,10 +171,13 @@ def _grow(
                 for b in range(2):
                     for c in range(2):
                         S[q, b, c] -= w[r, q, b] * w[r, q, c]
-        nu = left_jacobian_inverse(differences, _heading_correction(differences, chosen[: size + 1], w, whitening))
-        for q in possible:
-            for b in range(2):
-                nu[q, b] -= _explained(w, int(q), b, whitening[0], 2 * size + 2)
+        nu = left_jacobian_inverse(differences, heading_correction(differences[so_far], gain[:rows]))
+        of_set = nu[so_far].ravel()
+        for r in range(rows):
+            e = (inverse[r, :rows] * of_set).sum()
+            for q in possible:
+                nu[q, 0] -= w[r, q, 0] * e
+                nu[q, 1] -= w[r, q, 1] * e
         left, likeliest, least = 0, -1, np.inf
         for q in possible:
             if pairs[q, 0] != pairs[added, 0] and pairs[q, 1] != pairs[added, 1]:
@@ -186,33 +190,6 @@ def _grow(
         if left == 0:
             break
         possible, added, total = possible[:left], likeliest, total + least
-    return total
-
-
-@compiled
-def _heading_correction(differences: Array, chosen: IntArray, w: Array, whitening: Array) -> float:
-    """The correction [rad] of the heading that the `chosen` pairs imply (see `mapping.update.invariant_innovation`).
-
-    Enters their conditioned innovations over σ in the first row of `whitening` (see `_grow`).
-    """
-    (e, sigmas, of_heading), turn = whitening, 0.0
-    for _ in range(_TURNS):
-        nu, before, turn = left_jacobian_inverse(differences[chosen], turn), turn, 0.0
-        for r in range(2 * len(chosen)):
-            k, a = r // 2, r % 2
-            e[r] = (nu[k, a] - _explained(w, int(chosen[k]), a, e, r)) / sigmas[r]
-            turn += of_heading[r] * e[r]
-        if abs(turn - before) < _SETTLED:
-            break
-    return turn
-
-
-@compiled
-def _explained(w: Array, q: int, b: int, e: Array, count: int) -> float:
-    """What the first `count` coordinates of a set, normalised to `e`, explain of coordinate b of pair q."""
-    total = 0.0
-    for r in range(count):
-        total += w[r, q, b] * e[r]
     return total
 
 

@@ -7,7 +7,7 @@ newer features as a whole,
     Q = C⁻¹ − C⁻¹G(GᵀC⁻¹G)⁻¹GᵀC⁻¹,
 
 Where the errors of the map are right-invariant, the innovations are V(δθ)⁻¹ (F_i − F_j) instead, so that the motion
-between the parts may turn by tens of degrees (`mapping.update.invariant_innovation`).
+between the parts may turn by tens of degrees (`mapping.update.heading_correction`).
 
 D²_shape has 2k − 3 degrees of freedom and tests whether both have one shape; D²_motion has 3 and tests whether the
 motion between them is one that the map considers possible. D²_shape is tested as it is. In D²_motion filters become
@@ -23,7 +23,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import unary_table
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.mapping.update import invariant_innovation
+from slam_gym.mapping.update import heading_correction, left_jacobian_inverse
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, rigid_motions
 from slam_gym.types import Array, BoolArray, IntArray
 
@@ -60,12 +60,20 @@ def innovation(m: StochasticMap, pairs: IntArray) -> tuple[Array, Array]:
 
     ν = F_i − F_j, or V(δθ)⁻¹ (F_i − F_j) with the correction δθ of the heading that the pairs imply.
     """
-    (older, newer), C = pairs.T, difference_covariance(m, pairs) + VARIANCE_FLOOR * np.eye(2 * len(pairs))
-    nu = (m.positions[newer] - m.positions[older]).ravel()
-    if m.spec.right_invariant:
-        of_heading = m.heading_covariances
-        nu = invariant_innovation(nu, np.linalg.solve(C, (of_heading[older] - of_heading[newer]).ravel()))
-    return nu, C
+    C: Array = difference_covariance(m, pairs) + VARIANCE_FLOOR * np.eye(2 * len(pairs))
+    nu = m.positions[pairs[:, 1]] - m.positions[pairs[:, 0]]
+    gain = np.asarray(np.linalg.solve(C, heading_covariances(m, pairs).ravel()), np.float64)
+    return left_jacobian_inverse(nu, heading_correction(nu, gain)).ravel(), C
+
+
+def heading_covariances(m: StochasticMap, pairs: IntArray) -> Array:
+    """(k, 2) [m·rad] covariances of the heading with F_j − F_i for all pairs (j, i) of features, (k, 2).
+
+    They are 0 where the errors of the map are not right-invariant: innovations are then not corrected for a turn.
+    """
+    older, newer = m.heading_covariances[pairs.T]
+    of_heading: Array = float(m.spec.right_invariant) * (older - newer)
+    return of_heading
 
 
 def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:
