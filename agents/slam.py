@@ -24,7 +24,7 @@ def main(
     relocation: Search = None,
     output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:
-    """Map a log: features, path, picture."""
+    """Map a log: features, path, picture. Raises ValueError for true associations of a log without identities."""
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -33,9 +33,13 @@ def main(
     from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import plot_map, plot_path
     from slam_gym.scenarios.registry import slam_for
+    from slam_gym.simulation.judged import CEILING
+    from slam_gym.types import UNLABELLED
 
     output.mkdir(parents=True, exist_ok=True)
     for recording in open_recordings(log):
+        if associator == CEILING and not (recording.sources != UNLABELLED).any():
+            raise ValueError(f"{recording.name}: {CEILING} needs identities, and no measurement has one")
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
         mapped = map_log(recording, associator, slam_for(recording), search_of(relocation), in_world=False)
         slam, poses, doubted = mapped.slam, mapped.poses, mapped.doubted
@@ -47,7 +51,7 @@ def main(
             features = {"map": number, "id": m.ids, "x": x, "y": y, "sigma_x": sigma_x, "sigma_y": sigma_y}
             tables.append(pd.DataFrame(features | {"sightings": m.seen})[~m.provisional])
         table = pd.concat(tables)
-        table.to_csv(files[0], index=False, float_format="%.6g")
+        table.to_csv(files[0], index=False, float_format="%.9g")
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
         ax = plot_path(poses, figure.subplots())
@@ -63,8 +67,9 @@ def main(
         if slam.missed_loop:
             print("a place is probably mapped twice: features that were seen from there before are missing")
         if slam.tracker is not None and (doubted or slam.tracker.slips):
-            slips = counted(slam.tracker.slips, "time")
-            print(f"the wheels slipped {slips}; {counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
+            slipped = f"the wheels slipped {counted(slam.tracker.slips, 'time')}" if slam.tracker.slips else ""
+            useless = f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing" if doubted else ""
+            print("; ".join(filter(None, (slipped, useless))))
         print("\n".join(str(file) for file in files))
 
 

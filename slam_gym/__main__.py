@@ -162,7 +162,7 @@ Result = TypeVar("Result")
 
 def ended(command: Callable[[], Result]) -> Result:
     """The result of a command. Bad input, a missing package, a full disk or a killed worker end the process with one
-    line on stderr and exit code 2; Ctrl-C ends it with 130."""
+    line on stderr and exit code 2; Ctrl-C ends it with 130. An error in a user's associator keeps its traceback."""
     try:
         return command()
     except ModuleNotFoundError as error:
@@ -174,6 +174,8 @@ def ended(command: Callable[[], Result]) -> Result:
     except BrokenProcessPool:
         _end("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
     except (ValueError, ImportError, OSError) as error:
+        if hasattr(error, "__notes__"):  # it says whose function has failed
+            raise
         _end(str(error))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -1,14 +1,17 @@
 """Reading of untrusted files: up to a size limit, without unpickling, and with a reason where a file is refused.
 
-All functions raise ValueError; readers add the file and the field.
+Functions that read raise ValueError; readers add the file and the field. Files are written whole or not at all.
 """
 
 import gzip
 import io
 import json
+import os
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +38,18 @@ def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
     if len(content) > limit:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
     return content
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file that takes the place of `path` once it is written completely; else `path` stays as it is."""
+    scratch = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with scratch.open("wb") as file:
+            yield file
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]:

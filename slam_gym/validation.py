@@ -1,17 +1,19 @@
 """Checks of inputs where they enter: scans that would corrupt a map, hypotheses that do not fit it, unknown names, and
 settings out of range."""
 
+import functools
 import importlib
 import math
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from types import NoneType
+from typing import Any, cast, get_args, get_type_hints
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.types import UNPAIRED, Array, Hypothesis, Odometry, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
 _ILL_CONDITIONED = f"covariance has a condition number above {_CONDITION:.0e}"
@@ -72,18 +74,26 @@ Beyond these limits a step takes minutes, or memory runs out. A limit can be rai
 
 
 class Checked:
-    """Base of settings dataclasses. Making one raises ValueError that names the first number outside its `LIMITS`.
-
-    A setting that is None passes.
+    """Base of settings dataclasses. Making one raises ValueError that names the first number outside its `LIMITS`, or
+    of another type than its field.
     """
 
     def __post_init__(self) -> None:
-        kind = type(self).__name__
+        kind, types = type(self).__name__, _types_of(cast(Any, type(self)))
         for name, (least, greatest) in LIMITS[kind].items():
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | float | np.number) and least <= value <= greatest):
-                limits = f"expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
-                raise ValueError(f"{kind}.{name}={value}: {limits}")
+            value, is_whole = getattr(self, name), int in types[name]
+            if value is None and NoneType in types[name]:
+                continue
+            number: Any = (int, np.integer) if is_whole else (int, float, np.number)
+            if isinstance(value, bool) or not isinstance(value, number) or not least <= value <= greatest:
+                what = f"a {'whole ' * is_whole}number from {least:g} to {greatest:g}"
+                raise ValueError(f"{kind}.{name}={value}: expected {what} (slam_gym.validation.LIMITS)")
+
+
+@functools.cache
+def _types_of(settings: type) -> dict[str, tuple[Any, ...]]:
+    """The types that each field of settings may have."""
+    return {name: get_args(hint) or (hint,) for name, hint in get_type_hints(settings).items()}
 
 
 def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:
@@ -96,6 +106,17 @@ def check_count(name: str, value: Any) -> None:
     """Raise ValueError, naming it, unless an argument is a whole number from 1 on."""
     if not isinstance(value, (int, np.integer)) or value < 1:
         raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
+
+
+def indices(name: str, values: Any, count: int, lowest: int = 0) -> IntArray:
+    """`values` (k,) as a plain array. Raises ValueError, naming them, unless they are integers from `lowest` to
+    `count` − 1; a mask of booleans is none."""
+    array = np.asarray(values)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise ValueError(f"{name}: {array.dtype} of shape {array.shape}, expected indices (k,)")
+    if ((array < lowest) | (array >= count)).any():
+        raise ValueError(f"{name}: {array.tolist()} are not all from {lowest} to {count - 1}")
+    return np.ascontiguousarray(array, np.int64)
 
 
 @compiled
@@ -149,9 +170,13 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     paired: set[int] = set()
     for entry, feature in enumerate(decisions.tolist()):
         if not UNPAIRED <= feature < features:
-            raise ValueError(f"hypothesis.features[{entry}]: {feature}, expected −1 … {features - 1}")
+            raise ValueError(
+                f"hypothesis.features[{entry}]: {feature}, expected −1{f' … {features - 1}' * (features > 0)}"
+            )
         if hypothesis.exclusive and feature in paired:
-            raise ValueError(f"hypothesis.features[{entry}]: feature {feature} is paired twice")
+            raise ValueError(
+                f"hypothesis.features[{entry}]: feature {feature} is paired twice (exclusive=False allows it)"
+            )
         if feature != UNPAIRED:
             paired.add(feature)
     new: Any = hypothesis.new

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,12 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
 
 def models_of(associators: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The hash of each file of weights among the associators, for results.json."""
-    return {name: hash_of(Path(name)) for name in associators if name.endswith(".npz")}
+    return hashes_of(name for name in associators if name.endswith(".npz"))
+
+
+def hashes_of(files: Iterable[str | None]) -> dict[str, dict[str, Any]]:
+    """The hash of each of the files; names that are no files are left out."""
+    return {name: hash_of(Path(name)) for name in files if name and Path(name).is_file()}
 
 
 def hash_of(model: Path) -> dict[str, Any]:

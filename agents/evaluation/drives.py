@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 from agents.drivers.base import Agent, is_learned, make_agent, visible
-from agents.evaluation.associators import Metered, contenders, hash_of, metered, models_of
+from agents.evaluation.associators import Metered, contenders, hash_of, hashes_of, metered, models_of
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem
@@ -82,7 +82,7 @@ def driver_evaluation(
     ]
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
     several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}
-    return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models})
+    return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models | hashes_of([loops[0].floor_plan])})
 
 
 def _warm_up(loop: ExploreArguments, drivers: Sequence[Driver], episode: int) -> None:
@@ -139,4 +139,5 @@ def associator_evaluation(
         tasks.append(Task([Key(name, loop.world, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     conditions = {"driver": driver, "relocation": list(relocations)} | shared
-    return Evaluation("associators", tasks, conditions, {"models": models_of(associators)})
+    files = models_of(associators) | hashes_of([loops[0].floor_plan])
+    return Evaluation("associators", tasks, conditions, {"models": files})

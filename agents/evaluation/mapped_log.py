@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import contenders, metered, models_of
+from agents.evaluation.associators import contenders, hashes_of, metered, models_of
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem, write_whole
 from agents.options import Recorded
@@ -292,7 +292,8 @@ def surveyed(log: Recording) -> Recording:
         return log
     known = best.features[best.features["identity"] >= 0]
     ids, places = known["identity"].to_numpy(), np.ascontiguousarray(known[["x", "y"]].to_numpy())
-    log = replace(log, landmark_ids=ids, landmarks=places)
+    source = f"{log.source}. It has no survey: maps are compared with batch least squares with its identities."
+    log = replace(log, landmark_ids=ids, landmarks=places, source=source)
     if len(log.reference_times):
         return log
     return replace(log, reference_times=log.times, reference_poses=best.poses * [1.0, 1.0, math.nan])
@@ -322,5 +323,6 @@ def recording_evaluation(
         for name, searches in contenders(associators, relocations).items()
         if searches[0] != CEILING or (log.sources != UNLABELLED).any()  # without labels it pairs nothing
     ]
-    about = {"settings": {log.name: asdict(slam_for(log)) for log in logs}, "models": models_of(associators)}
+    files = models_of(associators) | hashes_of([conditions["recording"]])
+    about = {"settings": {log.name: asdict(slam_for(log)) for log in logs}, "models": files}
     return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, about)

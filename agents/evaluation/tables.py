@@ -59,7 +59,7 @@ _ALL = (
     Column("features", "feat.", 0), Column("found", "found", 0, "higher"), Column("wrong", "wrong", 0, "lower"),
     Column("clutter_features", "clut.", 0, "lower"), Column("clutter_share", "clutter accepted", 3, "lower"),
     Column("clutter_on_landmarks", "onto landmarks", 0, "lower"), Column("ate", "ATE", 2, "lower"),
-    Column("ate_batch", "batch", 2, "lower"), Column("landmark_rmse_batch", "batch", 2, "lower"),
+    Column("ate_batch", "ATE batch", 2, "lower"), Column("landmark_rmse_batch", "lm. batch", 2, "lower"),
     Column("ate_unaligned", "ATE₀", 2, "lower"), Column("ate_median", "median error", 2, "lower"),
     Column("landmark_rmse", "lm.", 2, "lower"), Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
     Column("seconds", "s", 1, "lower"), Column("step_microseconds", "µs/step", 0, "lower"),
@@ -167,10 +167,11 @@ def best_names(values: Mapping[str, Interval], column: Column) -> set[str]:
 
 
 def display_name(name: str) -> str:
-    """A name for tables: the function of `module:function`, the name of a file; spaces instead of `_`."""
-    if ":" in name:
-        return name.rpartition(":")[2].replace("_", " ")
-    return (Path(name).name if Path(name).suffix else name).replace("_", " ")
+    """A name for tables: `module:function` without packages, a file with its folder, others with spaces for `_`."""
+    module, colon, function = name.rpartition(":")
+    if colon:
+        return f"{module.rpartition('.')[2]}:{function}"
+    return "/".join(Path(name).parts[-2:]) if Path(name).suffix else name.replace("_", " ")
 
 
 def number(value: float, digits: int, signed: bool = False) -> str:

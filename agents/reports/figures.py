@@ -104,7 +104,7 @@ def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Fig
 
 def final_map(episode: Episode) -> Figure:
     """The final map of an episode: walls black, explored ones light blue, features grey, mapped features blue, the path
-    red, and red lines from true features to their positions in the map."""
+    red, and yellow lines from true features to their positions in the map."""
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
     axis = plot_episode(episode, figure.subplots(subplot_kw={"frameon": False}), errors=True)
     axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
@@ -205,7 +205,7 @@ def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None
     shown = features[features["confirmed"] > 0]
     identity, first = shown["identity"], ~shown["identity"].duplicated()
     if len(landmarks):
-        axis.plot(*landmarks.T, "+", color=INK, markersize=8, markeredgewidth=1.0, label="true landmark")
+        axis.plot(*landmarks.T, "+", color=INK, markersize=8, markeredgewidth=1.0, label="landmark of the reference")
     kinds = {
         "landmark": (first & (identity >= 0), "#2f6db5"),
         "duplicate": (~first & (identity >= 0), "#b0413e"),

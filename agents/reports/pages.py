@@ -175,7 +175,7 @@ def headline(frame: pd.DataFrame) -> list[Table]:
         if associator != CEILING and truth in groups:
             gaps[name] = {setting: difference(some, groups[truth], error.key, mean) for setting, some in parts.items()}
     caption = f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}"
-    tables = [Table("Aligned map error", "associator", [*means, raw, lost], errors, caption)]
+    tables = [Table("Aligned map error, mean", "associator", [*means, raw, lost], errors, caption)]
     if gaps:
         caption = f"mean over the same episodes{INTERVALS}"
         title = "Aligned map error above that of true association with the same relocation"

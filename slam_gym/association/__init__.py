@@ -28,7 +28,7 @@ from slam_gym.association.tracking.ppo import ppo, walk_by
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
 from slam_gym.types import Hypothesis, Relocator, Scan
-from slam_gym.validation import imported
+from slam_gym.validation import check_hypothesis, imported
 
 __all__ = [
     "ASSOCIATORS",
@@ -96,16 +96,22 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
 
 @dataclass(frozen=True, slots=True)
 class _ReadOnlyScan:
-    """A user's associator, called with a scan whose arrays are read-only, and checked to return a Hypothesis."""
+    """A user's associator, called with a scan whose arrays are read-only. Its errors, and those of its hypothesis, name
+    it."""
 
     associate: Associator
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        hypothesis = self.associate(scan.read_only(), prediction)
-        if not isinstance(hypothesis, Hypothesis):
-            name = getattr(self.associate, "__name__", repr(self.associate))
-            raise ValueError(f"associator {name}: returned {type(hypothesis).__name__}, not a Hypothesis")
-        return hypothesis
+        name = getattr(self.associate, "__name__", repr(self.associate))
+        try:
+            hypothesis = self.associate(scan.read_only(), prediction)
+        except Exception as error:
+            error.add_note(f"raised by associator {name}")
+            raise
+        try:
+            return check_hypothesis(hypothesis, len(scan), prediction.size[1])
+        except ValueError as error:
+            raise ValueError(f"associator {name}: {error}") from None
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:

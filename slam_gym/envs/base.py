@@ -72,6 +72,8 @@ class Settings:
     def __post_init__(self) -> None:
         one_of("split", self.split, SPLITS)
         one_of("render_mode", self.render_mode, (None, "rgb_array", "rgb_array_list", "human"))
+        if isinstance(self.overrides, Mapping):
+            object.__setattr__(self, "overrides", dict(self.overrides))  # the caller's may change
 
     @property
     def scenario_on_floor(self) -> Scenario:
@@ -112,7 +114,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._snapshot: Snapshot | None = None
         self._episode_generator: np.random.Generator | None = None
         self._series: tuple[int, ...] = ()
-        self._failed = False  # a step raised an error half-way
+        self._failed = False  # a step or reset raised an error half-way
         self._site: Site | None = None
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
@@ -123,12 +125,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode. `options={"world": i}` selects a world; any other option raises ValueError."""
-        if not isinstance(options or {}, Mapping):
-            raise ValueError(f"options: expected a dict, got {options!r}")
-        options = dict(options or {})
-        if unknown := set(options) - {"world"}:
-            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
-        world_seed(self.split, options.get("world", 0))  # raises for a world outside the split, before any change
+        options = self.checked_options(options)  # before any change
         super().reset(seed=seed)
         if seed is not None:
             self._series = ()
@@ -136,10 +133,12 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             self._np_random = self._next_generator()
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
-        self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
+        self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), True, []
         observation = self._begin(self._draw_world(options))
         self._changed()
-        return observation, self._info()
+        info = self._info()
+        self._failed = False
+        return observation, info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Carry out one action.
@@ -150,7 +149,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         """
         history = self._started(self._snapshot)
         if self._failed:
-            raise RuntimeError("the last step failed half-way: call reset(), or restore(snapshot()) to go back")
+            raise RuntimeError("the last call failed half-way: call reset(), or restore(snapshot()) to go back")
         if self.over:
             raise RuntimeError("the episode is over: call reset()")
         action = self._checked(action)
@@ -189,6 +188,16 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         if self._window is not None:
             self._window.close()
             self._window = None
+
+    def checked_options(self, options: dict[str, Any] | None) -> dict[str, Any]:
+        """The options of a reset. Raises ValueError for unknown ones, and for a world outside the split."""
+        if not isinstance(options or {}, Mapping):
+            raise ValueError(f"options: expected a dict, got {options!r}")
+        checked = dict(options or {})
+        if unknown := set(checked) - {"world"}:
+            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
+        world_seed(self.split, checked.get("world", 0))
+        return checked
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 

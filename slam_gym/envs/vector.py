@@ -83,6 +83,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
         single, self._autoreset = make(), AutoresetMode(autoreset_mode)  # raises for bad arguments
         self.num_envs, self.render_mode = num_envs, single.render_mode
+        self._checked_options = cast(Any, single.unwrapped).checked_options
         self.metadata = {**single.metadata, "autoreset_mode": self._autoreset}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
@@ -93,15 +94,20 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         groups = np.array_split(np.arange(num_envs), min(max(processes, 1), num_envs))
         kind, folder = _row_type(single), "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         handle, path = tempfile.mkstemp(prefix="slam_gym-", dir=folder)
-        with os.fdopen(handle, "wb") as file:
-            file.write(bytes(num_envs * kind.itemsize))  # the whole file, so that a full disk raises an error here
-            file.flush()
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(bytes(num_envs * kind.itemsize))  # the whole file, so that a full disk raises an error here
             self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
-            other_groups = [_Worker(worlds, make, self._autoreset, path, kind) for worlds in groups[1:]]
-            self._groups = [_Worlds(groups[0], make, self._autoreset, path, kind), *other_groups]
+            for worlds in groups[1:]:
+                self._groups.append(_Worker(worlds, make, self._autoreset, path, kind))
+            self._groups.insert(0, _Worlds(groups[0], make, self._autoreset, path, kind))
             self._exchange("call", "render_mode", (), {})  # waits until all groups are ready
-        with contextlib.suppress(PermissionError):  # Windows does not delete mapped files
-            Path(path).unlink()
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            with contextlib.suppress(PermissionError):  # Windows does not delete mapped files
+                Path(path).unlink()
 
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -122,6 +128,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         worlds = self._each("options['world']", options.get("world"))
         each = [options if world is None else options | {"world": world} for world in worlds]
         resets = {i: {"seed": seeds[i], "options": each[i]} for i in np.flatnonzero(mask).tolist()}
+        for i, arguments in resets.items():  # before any world changes
+            with _numbered_errors(i):
+                self._checked_options(arguments["options"])
         return self._outcome(self._exchange("reset", resets))
 
     def step(self, actions: Any) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:  # type: ignore[override]
@@ -312,7 +321,11 @@ class _Worker:
         environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         pipe: Any = subprocess.PIPE
         self.process: Any = subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe)
-        self.request("", *arguments)
+        try:
+            self.request("", *arguments)
+        except BaseException:  # an argument that does not pickle
+            self.close()
+            raise
 
     def request(self, name: str, *arguments: Any) -> None:
         with _report_ended_worker():

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
+from slam_gym.validation import indices
 
 Counts = NDArray[np.int32]
 """(≥ n, ≥ n) number of scans that saw both of two features, symmetric, 0 on the diagonal and beyond n; (0, 0): all
@@ -66,15 +67,15 @@ class CovisibilityGraph:
 
         Raises ValueError where a feature is not in the graph.
         """
-        count_pairs(self.counts, self._existing(features, UNPAIRED))
+        count_pairs(self.counts, indices("features", features, self.n, UNPAIRED))
 
     def keep(self, kept: IntArray) -> None:
         """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
 
         Raises ValueError, before the graph is changed, where they are not ascending nodes of it.
         """
-        kept = np.ascontiguousarray(kept, dtype=np.int64)
-        if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or (np.diff(kept) <= 0).any()):
+        kept = indices("kept", kept, self.n)
+        if (np.diff(kept) <= 0).any():
             raise ValueError("kept: not the ascending indices of nodes in the graph")
         keep_nodes(self.counts, self.n, kept)
         self.n = len(kept)
@@ -118,20 +119,14 @@ class CovisibilityGraph:
 
     def local_to(self, features: IntArray) -> BoolArray:
         """(n,) whether each node is one of `features` or a neighbour of one. Raises ValueError as `see_together`."""
-        return mark_local(self.counts, self.n, self._existing(features, UNPAIRED))
+        return mark_local(self.counts, self.n, indices("features", features, self.n, UNPAIRED))
 
     def among(self, features: IntArray) -> BoolArray:
         """(j, j) whether each two of `features` (j,) are neighbours or the same; symmetric.
 
         Raises ValueError where a feature is not in the graph.
         """
-        return among(self.counts, self._existing(features, 0))
-
-    def _existing(self, features: IntArray, lowest: int) -> IntArray:
-        features = np.ascontiguousarray(features, dtype=np.int64)
-        if ((features < lowest) | (features >= self.n)).any():
-            raise ValueError("features: not all of them are in the graph")
-        return features
+        return among(self.counts, indices("features", features, self.n))
 
     def edges(self) -> Edges:
         """All edges, in ascending order."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import importlib
 import json
+import operator
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,14 +17,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import array_of, zip_members
+from slam_gym._files import array_of, json_of, replacing, zip_members
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.mapping.update import update
-from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
-from slam_gym.validation import Checked
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Odometry, Scan
+from slam_gym.validation import Checked, indices
 
 _LARGEST_FILE = 1 << 30  # [bytes] of a map
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
@@ -145,7 +146,7 @@ class StochasticMap:
 
         Raises ValueError where a feature does not exist.
         """
-        entries = (3 + 2 * existing(features, self.n)[:, None] + np.arange(2)).ravel()
+        entries = (3 + 2 * indices("features", features, self.n)[:, None] + np.arange(2)).ravel()
         of_both: Array = self._P[np.minimum.outer(entries, entries), np.maximum.outer(entries, entries)]
         return of_both
 
@@ -154,7 +155,9 @@ class StochasticMap:
 
         Raises ValueError where a feature does not exist.
         """
-        return ekf.distances_between(self._x, self._P, existing(first, self.n), existing(second, self.n), gate)
+        return ekf.distances_between(
+            self._x, self._P, indices("features", first, self.n), indices("features", second, self.n), gate
+        )
 
     @property
     def ids(self) -> IntArray:
@@ -235,7 +238,7 @@ class StochasticMap:
         Raises ValueError, before the map is changed, where a feature does not exist, or where a paired measurement is
         not finite or has an invalid covariance.
         """
-        features = np.ascontiguousarray(features, dtype=np.int64)
+        features = indices("features", features, self.n, UNPAIRED)
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self.moved()
@@ -246,11 +249,11 @@ class StochasticMap:
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
 
-        Raises ValueError at the first measurement that is not finite or has an invalid covariance; the measurements
-        before it have then been added.
+        Raises ValueError, before anything is added, where a measurement does not exist; and at the first one that is
+        not finite or has an invalid covariance: those before it have then been added.
         """
         first, measured = self.n, scan.arrays
-        for i in measurements:
+        for i in indices("measurements", measurements, len(scan)):
             self.make_room(1)
             ekf.add(self.arrays, self.n, self.step, self.next_id, measured, int(i))
             self.learned(1)
@@ -261,11 +264,8 @@ class StochasticMap:
 
         Raises ValueError where a feature does not exist.
         """
-        features = np.asarray(features, dtype=np.int64)
-        if np.any((features < 0) | (features >= self.n)):
-            raise ValueError(f"features: {features.tolist()} to remove from a map of {self.n} features")
         staying = np.ones(self.n, dtype=bool)
-        staying[features] = False
+        staying[indices("features", features, self.n)] = False
         kept = np.flatnonzero(staying)
         ekf.keep(self.arrays, kept)
         self.learned(len(kept) - self.n)
@@ -298,6 +298,10 @@ class StochasticMap:
         """
         n = state.counted.shape[1]
         d = 3 + 2 * n
+        if state.counted.shape != (5, n) or state.counted.dtype.kind != "i" or state.sized.shape != (2, n):
+            raise ValueError(
+                f"counted, sized: {state.counted.dtype} of shape {state.counted.shape}, {state.sized.shape}"
+            )
         if state.mean.shape != (d,) or state.covariance.shape != (d, d):
             raise ValueError(f"mean, covariance: shapes {state.mean.shape}, {state.covariance.shape} for {n} features")
         if not (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()):
@@ -322,7 +326,7 @@ class StochasticMap:
         parts = {field.name: getattr(state, field.name) for field in fields(MapState)}
         if state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
             raise ValueError(f"{path}: a map of {self.n} features is too large for a file")
-        with Path(path).open("wb") as file:
+        with replacing(Path(path)) as file:
             np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)
 
     @classmethod
@@ -335,9 +339,11 @@ class StochasticMap:
             members = zip_members(Path(path), _LARGEST_FILE)
             names = [field.name for field in fields(MapState)]
             state: dict[str, Any] = {name: array_of(members[name], "fi", _LARGEST_FILE) for name in names}
-            state |= {name: int(state[name]) for name in ("step", "next_id")}
-            spec = MapSpec(**json.loads(str(array_of(members["spec"], "U"))))
-            return cls.of_state(spec, MapState(**state))
+            state |= {name: operator.index(state[name].item()) for name in ("step", "next_id")}
+            spec = MapSpec(**json_of(str(array_of(members["spec"], "U"))))
+            m = cls.of_state(spec, MapState(**state))
+            check_contents(m)
+            return m
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise ValueError(f"{path}: no map that can be read ({error})") from error
 
@@ -404,6 +410,18 @@ class StochasticMap:
 # validation
 
 
+def check_contents(m: StochasticMap) -> None:
+    """Raise ValueError where ids are not unique and below the next one, the covariance is not symmetric, or a variance
+    is negative."""
+    ids, covariance, variances = m.ids, m.covariance, m.size_variances
+    if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
+        raise ValueError("counted, step, next_id: not those of a map")
+    if (covariance.diagonal() < 0.0).any() or not np.allclose(covariance, covariance.T):
+        raise ValueError("covariance: is none")
+    if (variances < 0.0).any():
+        raise ValueError("sized: a variance is negative")
+
+
 def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
     """Copies of the pose (3,), its heading wrapped, and the covariance (3, 3). Raises ValueError for invalid ones."""
     x, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
@@ -413,11 +431,3 @@ def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
         raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
     x[2] = wrap_angle(x[2])
     return x, P
-
-
-def existing(features: IntArray, n: int) -> IntArray:
-    """`features` (k,) as a contiguous array. Raises ValueError unless all exist in a map of n features."""
-    features = np.ascontiguousarray(features, dtype=np.int64)
-    if np.any((features < 0) | (features >= n)):
-        raise ValueError(f"features: {features.tolist()} do not all exist in a map of {n} features")
-    return features

@@ -49,7 +49,10 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
             text = content_of(file).decode("utf-8-sig")
         except UnicodeDecodeError:
             raise RecordingError("is no text in UTF-8") from None
-        table = _table(text)
+        try:
+            table = _table(text)
+        except csv.Error as error:
+            raise RecordingError(str(error)) from None
         measured = POLAR if "range" in table else POINT
         first = np.flatnonzero(np.diff(table["time"], prepend=-math.inf))
         seen = ~np.isnan(table[measured[0]])
@@ -79,7 +82,7 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
 
 def _table(text: str) -> dict[str, Array]:
     """The columns of a CSV text, NaN where empty. Raises RecordingError, naming line and column, for invalid cells."""
-    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    reader = csv.DictReader(io.StringIO(text, newline=None), skipinitialspace=True)
     names = [str(name).strip() for name in reader.fieldnames or ()]
     measured = POLAR if "range" in names else POINT
     for name in ("time", *MOTION, *measured):
@@ -130,10 +133,12 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
         f"only one of {measured[0]!r} and {measured[1]!r} is given": empty[measured[0]] != empty[measured[1]],
         "column 'source' is no integer": ~np.isnan(source) & (source != np.round(source)),
         "column 'source' is below -2": source < UNLABELLED,
+        "column 'source' is above 2⁵³, the limit of exact integers": source > 2.0**53,
         "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
     }
-    for name in ("turn", "bearing"):
-        refused[f"column {name!r} [rad] is more than a turn"] = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
+    for name, often in (("turn", "degrees, or absolute headings"), ("bearing", "degrees")):
+        beyond = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
+        refused[f"column {name!r} [rad] is more than a turn; are these {often}?"] = beyond
     for name in MOTION:
         again = ~empty[name] & (table[name] != table[name][of_step])
         refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym._files import MAX_BYTES, array_of, zip_members
+from slam_gym._files import MAX_BYTES, array_of, replacing, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 from slam_gym.validation import check_measurements
@@ -151,10 +150,8 @@ def save(recording: Recording, path: str | Path) -> None:
     arrays: dict[str, Any] = {field.name: np.asarray(getattr(recording, field.name)) for field in fields(recording)}
     if sum(array.nbytes + 1024 for array in arrays.values()) > MAX_BYTES:  # with the heads of its members
         raise RecordingError(f"{path}: {len(recording.points)} measurements are more than {MAX_BYTES >> 20} MB")
-    scratch = target.with_name(f".{target.name}.{os.getpid()}")
-    with scratch.open("wb") as file:
+    with replacing(target) as file:
         np.savez_compressed(file, format=np.array(FORMAT), version=np.array(VERSION), **arrays)
-    scratch.replace(target)
 
 
 def load(path: str | Path) -> Recording:
@@ -206,7 +203,7 @@ def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
         raise ValueError("times, poses: not all of them are finite")
     half, zero = 0.5 * trajectory[:, 2], np.zeros(len(at))
     rows = np.column_stack([at, trajectory[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
-    np.savetxt(path, rows, fmt=["%.9f"] + 7 * ["%.9g"], header="timestamp x y z qx qy qz qw")
+    np.savetxt(path, rows, fmt=["%.9f"] + 7 * ["%.12g"], header="timestamp x y z qx qy qz qw")
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:

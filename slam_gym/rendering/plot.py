@@ -159,7 +159,7 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
     """Plot an exploration in W: true walls in black, true features as grey dots, and the true path in grey; explored
     walls in light blue, mapped features in blue, and the estimated path in red.
 
-    With `errors`, red lines lead from true features to their positions in the map.
+    With `errors`, yellow lines lead from true features to their positions in the map.
     """
     from matplotlib.collections import LineCollection
 
@@ -174,7 +174,7 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
         sources, mapped = episode.identities.majority_of(slam.map.ids), transform(episode.base, slam.map.positions)
         known = (sources >= 0) & ~slam.map.provisional
         ends = np.stack([plan.features.positions[sources[known]], mapped[known]])
-        ax.plot(*ends.transpose(2, 0, 1), color=RED, lw=0.7)
+        ax.plot(*ends.transpose(2, 0, 1), color=YELLOW, lw=0.9)
     plot_path(np.array(episode.poses), ax, color=GREY)
     return plot_path(transform(episode.base, np.array(episode.estimates)[:, :2]), ax, lw=1.3)
 

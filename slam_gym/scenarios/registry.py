@@ -126,6 +126,8 @@ def get_scenario(name: str) -> Scenario:
         return SCENARIOS[name]
     if name.partition("/")[0] in EXPERIMENTS and "/" in name:
         return get_level(name).scenario
+    if name == "corridor" or name.startswith("recording:"):
+        raise ValueError(f"scenario {name!r} is for Associate-v0: it has scans, but no world to drive in")
     levels = ", ".join(f"{experiment}/…" for experiment in EXPERIMENTS)
     found = imported("scenario", name, SCENARIOS, f"; levels of the suite: {levels}")
     if not isinstance(found, Scenario):

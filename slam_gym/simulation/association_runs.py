@@ -130,7 +130,7 @@ class LoggedRun:
 
     def associate(self, hypothesis: Hypothesis) -> None:
         """Complete the SLAM step with the `hypothesis` on the current scan."""
-        self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
+        self.last_step = self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
         if len(self.log.targets):

@@ -52,7 +52,8 @@ def survey(plan: FloorPlan, scenario: Scenario) -> Site:
     index = wall_index(plan.walls)
     cells = reachable(plan, scenario.robot.radius)
     if len(cells) == 0:
-        raise ValueError(f"floor plan {plan.name!r}: no free space for a robot of radius {scenario.robot.radius} m")
+        what = f"no free space for a robot of radius {scenario.robot.radius} m inside closed outer walls"
+        raise ValueError(f"floor plan {plan.name!r}: {what}")
     if len(plan.features) == 0:
         raise ValueError(f"floor plan {plan.name!r}: has no features, so there is nothing to map")
     seen = observable(plan, index, cells, scenario.sensor.range)

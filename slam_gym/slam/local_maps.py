@@ -70,7 +70,8 @@ class LocalMapSlam:
         self.maps = [self.slam.map]  # each in its own base; the last is the current one
         self._graphs = [self.slam.covisibility]  # of each local map
         self._first_ids = [0]  # smallest id that each local map can give
-        self._correspondences = _Correspondences(match or jointly_compatible)  # of closed maps, updated on demand
+        self._match = match or jointly_compatible
+        self._correspondences = _Correspondences(self._match)  # of closed maps, updated on demand
         self._covisible_names: list[IntArray] = []  # (e, 2) of each map, as of the last join
         self._is_last_step = False  # the next step closes the current map, whether it is full or not
         self._is_closed = False  # the next step begins a new map
@@ -144,8 +145,10 @@ class LocalMapSlam:
 
     def _match_all(self) -> list[IntArray]:
         """The names (n_i,) of the features of each map. A name is the oldest id of all features that are the same."""
-        while len(self._correspondences.names) < len(self.maps) - 1:
-            self._correspondences.add(self.maps)
+        known, self._correspondences = self._correspondences, _Correspondences(self._match)
+        while len(known.names) < len(self.maps) - 1:
+            known.add(self.maps)
+        self._correspondences = known  # an interruption leaves none of them, rather than half of them
         with_current = copy.deepcopy(self._correspondences)
         with_current.add(self.maps)
         names = with_current.names

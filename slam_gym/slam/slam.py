@@ -77,7 +77,7 @@ class Slam:
             learned from.
         atlas: closes loops, and starts and joins maps of a robot that stays lost (`slam_gym.slam.atlas`).
 
-    Raises ValueError for an atlas without `relocate`.
+    Raises ValueError for an atlas without `relocate`, and for a name in place of the function or the settings.
     """
 
     def __init__(
@@ -88,6 +88,10 @@ class Slam:
         relocate: Relocate | None = None,
         atlas: AtlasSpec | None = None,
     ) -> None:
+        if not (relocate is None or callable(relocate)):
+            raise ValueError(f"relocate: {relocate!r} is not a function; relocate_by makes one of a name")
+        if not (atlas is None or isinstance(atlas, AtlasSpec)):
+            raise ValueError(f"atlas: {atlas!r}, expected an AtlasSpec")
         self.spec = spec or SlamSpec()
         self.view_from, self.relocator = view_from, relocate
         self.tracker: Tracker | None = None

@@ -67,6 +67,8 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
         raise FileNotFoundError(f"no floor plan file at {path}")
     try:
         suffix = path.suffix.lower()
+        if resolution is not None and suffix in (".json", ".yaml", ".yml"):
+            raise FloorPlanError("resolution", "is for images; this file contains its own scale")
         if suffix == ".json":
             return _parse(path)
         if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz", ".yaml", ".yml")):

@@ -70,7 +70,8 @@ def from_raster(
     else:
         free = _enclosed(free, resolution)
     if not free.any():
-        raise FloorPlanError("occupancy", f"no free space: no pixel of a floor is lighter than {FREE_ABOVE}")
+        narrow = f"wider than 0.5 m is lighter than {FREE_ABOVE}; is the resolution right?"
+        raise FloorPlanError("occupancy", f"no free space: no part of a floor {narrow}")
     outlines = trace(free, resolution, _DRAWN if valid is not None else _MEASURED)
     frame = _Frame(free.shape[0], resolution, origin)
     rings = [frame(outline.ring) for outline in outlines]

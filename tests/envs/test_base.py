@@ -351,5 +351,10 @@ def test_a_step_that_fails_is_not_done_and_the_way_back_is_open() -> None:
     again, _ = env.restore(env.snapshot())
     assert all(np.array_equal(again[name], observation[name]) for name in observation)
     env.step(ahead)
+    calls[:] = [0] * 3
+    with pytest.raises(ZeroDivisionError):
+        env.reset(seed=4)
+    with pytest.raises(RuntimeError, match="failed half-way"):
+        env.step(ahead)
     env.reset(seed=3)
     env.step(ahead)

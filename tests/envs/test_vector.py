@@ -169,6 +169,10 @@ def test_a_twist_outside_the_box_is_refused_with_its_world() -> None:
     envs.reset(seed=0)
     with pytest.raises(ValueError, match="world 1: action"):
         envs.step(np.array([[0.0, 0.0], [np.nan, 0.0]]))
+    before = envs.call("snapshot")
+    with pytest.raises(WorldError, match=r"world 1: .*-1"):
+        envs.reset(options={"world": [5, -1]})
+    assert [after.options for after in envs.call("snapshot")] == [own.options for own in before]
 
 
 @pytest.mark.parametrize("raised", [ZeroDivisionError, KeyboardInterrupt])

@@ -246,8 +246,8 @@ def test_a_bad_measurement_is_refused_by_number_and_changes_nothing(name: str) -
     m.update(BAD_SCANS[name], np.array([0, UNPAIRED]))  # unpaired, it does no harm
 
 
-@pytest.mark.parametrize("features", [[0, -2], [0, 1000], [0]])
-def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
+@pytest.mark.parametrize("features", [[0, -2], [0, 1000], [0], [0.9, 1.2], [True, False]])
+def test_pairings_that_make_no_sense_are_refused(features: list[float]) -> None:
     m, _, _ = mapped()
     mean = m.mean
     with pytest.raises(ValueError, match="features"):
@@ -257,6 +257,11 @@ def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
     for refusing in (m.remove, m.covariance_of, lambda features: m.distances_between(features, features, 1.0)):
         with pytest.raises(ValueError, match="features"):
             refusing(absent)
+    for beyond in ([2], [-1], [True, False]):
+        with pytest.raises(ValueError, match="measurements"):
+            m.add(TWO, np.array(beyond))
+    with pytest.raises(ValueError, match="features: bool"):
+        m.remove(m.provisional)
 
 
 def test_no_uncertainty_anywhere_is_refused() -> None:
@@ -300,6 +305,18 @@ def test_a_file_that_holds_no_map_is_named(tmp_path: Path, content: bytes) -> No
     np.savez(tmp_path / "other.npz", mean=np.zeros(3))
     with pytest.raises(ValueError, match=r"other\.npz: no map"):
         StochasticMap.load(tmp_path / "other.npz")
+    m = StochasticMap()
+    m.add(TWO, np.arange(2))
+    for name, damaged in {
+        "next_id": 1,
+        "step": -1,
+        "covariance": -m.covariance,
+        "counted": m.state.counted[:1],
+    }.items():
+        m.save(tmp_path / "map.npz")
+        np.savez(tmp_path / "map.npz", **{**np.load(tmp_path / "map.npz"), name: damaged})
+        with pytest.raises(ValueError, match=rf"map\.npz: no map .*{name}"):
+            StochasticMap.load(tmp_path / "map.npz")
 
 
 # --- what is a covariance, and arrays that cannot be written to -------------------------------------------------------

@@ -148,12 +148,18 @@ def test_joining_leaves_each_feature_once_under_its_oldest_id_and_closed_maps_ar
 
     def match(m: StochasticMap, older: IntArray, newer: IntArray) -> IntArray:
         calls.append(len(newer))
+        if interrupted and len(calls) == 3:
+            raise KeyboardInterrupt
         sources = run.identities.source_of(m.ids)
         first = {int(source): int(j) for j, source in zip(older[::-1], sources[older[::-1]])}
         pairs = [(first[int(sources[i])], int(i)) for i in newer if int(sources[i]) in first]
         return np.array(pairs, np.int64).reshape(-1, 2)
 
-    run = Loop(0, 20, match=match)
+    interrupted, run = True, Loop(0, 20, match=match)
+    with pytest.raises(KeyboardInterrupt):
+        run.slam.joined()
+    interrupted = False  # nothing is half joined
+    calls.clear()
     joined, compared = run.slam.joined(), len(calls)
     sources, ids = run.identities.source_of(joined.ids), np.concatenate([m.ids for m in run.slam.maps])
     assert compared >= len(run.slam.maps) - 1 and len(np.unique(sources)) == len(sources)

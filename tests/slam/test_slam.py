@@ -62,9 +62,17 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
 def test_a_hypothesis_that_does_not_fit_is_refused_by_name() -> None:
     slam, twice = slam_of(), Hypothesis(np.array([1, 1]), 0.0, 0, Effort())
     slam.step(STILL, scan_of([[1, 0], [2, 1]]))
-    with pytest.raises(ValueError, match="feature 1 is paired twice"):
+    with pytest.raises(ValueError, match=r"associator <lambda>: .*feature 1 is paired twice"):
         slam.step(STILL, scan_of([[1, 0], [2, 1]]), lambda scan, prediction: twice)
     assert slam.map.n == 2 and (slam.map.seen == 1).all()
+
+
+def test_a_name_in_place_of_a_function_is_refused_and_an_error_says_whose_it_is() -> None:
+    with pytest.raises(ValueError, match="relocate: 'gcbb' is not a function; relocate_by"):
+        Slam(relocate="gcbb")  # type: ignore[arg-type]
+    with pytest.raises(ZeroDivisionError) as raised:
+        slam_of().step(STILL, scan_of([[1, 0]]), lambda scan, prediction: 1 // 0)
+    assert raised.value.__notes__ == ["raised by associator <lambda>"]
 
 
 def test_without_a_reach_what_was_seen_once_is_found_again_however_far() -> None:

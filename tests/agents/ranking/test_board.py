@@ -141,7 +141,7 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     leaderboard("--entry", MINE, "--role", "associator", "--page", str(page))
     shown = page.read_text()
     assert shown.startswith("before") and shown.endswith("after\n") and "old" not in shown
-    assert "|  | mine |" in shown and "|  | true association |" in shown and "| clutter | drift-2 |" in shown
+    assert ":mine |" in shown and "|  | true association |" in shown and "| clutter | drift-2 |" in shown
     assert "|  | jcbb |" in shown, "what ships is ranked beside it, in the same worlds"
     before, _ = read_entries([board])
     leaderboard("--entry", MINE, "--role", "associator")

@@ -85,7 +85,8 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("pairing_all_with_one", r"features\[0\]: 1000000"), ("answering_a_list", "not a Hypothesis")]
+    ("name", "said"),
+    [("pairing_all_with_one", r"features\[0\]: 1000000"), ("answering_a_list", "expected a Hypothesis")],
 )
 def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
     served, slam, env = partial(associate_in, started("associator", f"{STRANGERS}:{name}")), Slam(), WORLD.make("twist")
