@@ -19,6 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from slam_gym.geometry import compose, relative, wrap_angles
 from slam_gym.types import Array, IntArray, Odometry, Scan
 
+_DAMPING = 1e-8  # of the first iteration, as a fraction of the mean information: all σ may have any common factor
 _TOLERANCE, _ITERATIONS = 1e-9, 100  # stop where an iteration gains less than this fraction of χ²; most iterations
 
 
@@ -117,18 +118,19 @@ class FactorGraph:
 
         Raises ValueError where the iterations run out.
         """
-        x, damping = self.start(poses), 1e-3
+        x, damping = self.start(poses), 0.0
         errors, jacobian = self.linearise(poses[0], x)
-        chi2 = float(errors @ (self.information @ errors))
+        chi2 = first_chi2 = float(errors @ (self.information @ errors))
         for iteration in range(1, _ITERATIONS + 1):
             weighted = (self.information @ jacobian).T
             normal = csc_array(weighted @ jacobian)
+            damping = damping or _DAMPING * normal.diagonal().mean()
             step = _factor(normal + damping * eye_array(len(x))).solve(weighted @ errors)
             x_new = x - step
             x_new[2 : self.motions.size : 3] = wrap_angles(x_new[2 : self.motions.size : 3])
             linearised = self.linearise(poses[0], x_new)
             chi2_before, chi2_after = chi2, float(linearised[0] @ (self.information @ linearised[0]))
-            least_gain = _TOLERANCE * max(chi2_before, 1.0)
+            least_gain = _TOLERANCE * max(chi2_before, _TOLERANCE * first_chi2)
             if not chi2_after <= chi2_before + least_gain:
                 damping *= 10.0
                 continue
@@ -168,8 +170,12 @@ class FactorGraph:
 
 
 def _factor(matrix: Any) -> SuperLU:
-    """The sparse factorisation of a symmetric positive definite matrix."""
-    return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    """The sparse factorisation of a symmetric positive definite matrix. Raises ValueError for a singular one."""
+    options = {"SymmetricMode": True}
+    try:
+        return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError as error:
+        raise ValueError(f"the run does not determine all poses and features ({error})") from None
 
 
 def dead_reckoning(motions: ArrayLike) -> Array:
