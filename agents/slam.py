@@ -45,7 +45,7 @@ def main(
         slam, poses, doubted = mapped.slam, mapped.poses, mapped.doubted
         base = recording.name.replace("/", "-")
         files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
-        tables = []
+        replaced, tables = [file for file in files if file.exists()], []
         for number, m in enumerate(slam.maps):
             (x, y), (sigma_x, sigma_y) = m.positions.T, np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2)).T
             features = {"map": number, "id": m.ids, "x": x, "y": y, "sigma_x": sigma_x, "sigma_y": sigma_y}
@@ -70,7 +70,7 @@ def main(
             slipped = f"the wheels slipped {counted(slam.tracker.slips, 'time')}" if slam.tracker.slips else ""
             useless = f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing" if doubted else ""
             print("; ".join(filter(None, (slipped, useless))))
-        print("\n".join(str(file) for file in files))
+        print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))
 
 
 app = command(main, "slam-gym slam mine.csv --associator learned --output mapped")

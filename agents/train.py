@@ -55,7 +55,7 @@ def associate(
     weights = train("branch", worlds, training, "runs/associate", clone).with_name(WEIGHTS)
     driven = [name for each in worlds if (name := each.scenario) not in LOGS and not name.startswith("recording:")]
     where = f"--scenario {' '.join(driven)} {options_of(world)}" if driven else "--suite"  # no drives in logs
-    print(f"wrote {weights}; compare it with the classical associators by\n"
+    print(f"wrote {weights}, and the curve to progress.csv there; compare it with the classical associators by\n"
           f"  slam-gym evaluate-association --associators jcbb marginal {weights} {where}")  # fmt: skip
 
 

@@ -156,7 +156,8 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     a map of n `features`.
 
     Raises ValueError where it is not a `Hypothesis`, where its features are not m signed integers −1 … n−1, where an
-    exclusive hypothesis pairs a feature twice, and where a measurement is both paired and new.
+    exclusive hypothesis pairs a feature twice, where its D²_H and degrees of freedom are no numbers, and where a
+    measurement is both paired and new.
     """
     if not isinstance(hypothesis, Hypothesis):
         raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
@@ -179,6 +180,9 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
             )
         if feature != UNPAIRED:
             paired.add(feature)
+    for name, value in (("joint_distance", hypothesis.joint_distance), ("dof", hypothesis.dof)):
+        if not isinstance(value, int | float | np.number):
+            raise ValueError(f"hypothesis.{name}: {value!r}, expected a number")
     new: Any = hypothesis.new
     is_mask = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
     if new is not None and not (is_mask and not (new & (decisions >= 0)).any()):

@@ -117,6 +117,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         `options` are those of the single environment, in which `world` may be a sequence with one entry for each
         world, and `reset_mask` (N,) bool, which selects the worlds to reset, after the first reset.
         """
+        if not isinstance(options or {}, Mapping):
+            raise ValueError(f"options: expected a dict, got {options!r}")
         options, count = dict(options or {}), self.num_envs
         mask = np.asarray(options.pop("reset_mask", np.ones(count, np.bool_)))
         if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():

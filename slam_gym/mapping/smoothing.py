@@ -20,6 +20,7 @@ from slam_gym.geometry import compose, relative, wrap_angles
 from slam_gym.types import Array, IntArray, Odometry, Scan
 
 _DAMPING = 1e-8  # of the first iteration, as a fraction of the mean information: all σ may have any common factor
+_ROUNDING = 1e-15  # of χ²
 _TOLERANCE, _ITERATIONS = 1e-9, 100  # stop where an iteration gains less than this fraction of χ²; most iterations
 
 
@@ -120,7 +121,7 @@ class FactorGraph:
         """
         x, damping = self.start(poses), 0.0
         errors, jacobian = self.linearise(poses[0], x)
-        chi2 = first_chi2 = float(errors @ (self.information @ errors))
+        chi2 = float(errors @ (self.information @ errors))
         for iteration in range(1, _ITERATIONS + 1):
             weighted = (self.information @ jacobian).T
             normal = csc_array(weighted @ jacobian)
@@ -130,7 +131,7 @@ class FactorGraph:
             x_new[2 : self.motions.size : 3] = wrap_angles(x_new[2 : self.motions.size : 3])
             linearised = self.linearise(poses[0], x_new)
             chi2_before, chi2_after = chi2, float(linearised[0] @ (self.information @ linearised[0]))
-            least_gain = _TOLERANCE * max(chi2_before, _TOLERANCE * first_chi2)
+            least_gain = max(_TOLERANCE * chi2_before, _ROUNDING)
             if not chi2_after <= chi2_before + least_gain:
                 damping *= 10.0
                 continue

@@ -44,11 +44,13 @@ DRIVERS: dict[str, Driver] = {"nearest_frontier": nearest_frontier, "random": ra
 def drive(episode: Episode, driver: Driver, rng: np.random.Generator) -> Iterator[Command]:
     """The commands that lead to one goal of a driver after the other, until the budget is spent.
 
-    The caller must carry out each before it requests the next.
+    The caller must carry out each before it requests the next. Raises ValueError for a goal that is not legal.
     """
     while not episode.over:
         goals = propose(episode.scenario, episode.slam.map, episode.grid, episode.places, episode.tried)
         slot = driver(goals, rng)
+        if not (isinstance(slot, int | np.integer) and slot in goals.legal.nonzero()[0]):
+            raise ValueError(f"driver: {slot!r}, expected one of the legal goals {goals.legal.nonzero()[0].tolist()}")
         yield from commands(episode, slot, goals.positions[slot])
 
 

@@ -35,7 +35,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
 from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Locality, Odometry, Scan
-from slam_gym.validation import check_scan
+from slam_gym.validation import check_scan, indices
 
 Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
 """Finds features mapped twice: takes the join of two local maps, the rows of its older (a,) and newer features (b,),
@@ -236,7 +236,10 @@ class _Correspondences:
         joined = equate(join(older, newer), np.column_stack([shared_a, older.n + shared_b]))
         free_a = np.setdiff1d(np.arange(older.n), shared_a)
         free_b = np.setdiff1d(np.arange(newer.n), shared_b)
-        pairs = self._match(joined, free_a, older.n + np.arange(len(free_b)))
+        rows = older.n + np.arange(len(free_b))
+        pairs = indices("match", np.ravel(self._match(joined, free_a, rows)), joined.n).reshape(-1, 2)
+        if not np.isin(pairs[:, 0], free_a).all() or not np.isin(pairs[:, 1], rows).all():
+            raise ValueError("match: a pair is not of an older and of a newer row")
         united = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
         if not any(united) and not len(shared_a):
             return None

@@ -249,6 +249,8 @@ def relocate_by(
         needed = max(min_pairings(scan, landmarks, probability=most), math.ceil(_EXPLAINED * len(scan)))
         bound = {"min_pairings": needed} if prunes else {}  # the search skips hypotheses with fewer
         found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **bound)
+        if not isinstance(found, Relocation):
+            raise ValueError(f"relocator: returned {type(found).__name__}, not a Relocation")
         if not found.accepted or found.pairings < needed:
             return None
         return found if view_from is None or _shows(found, m, reach, view_from) else None
