@@ -58,6 +58,8 @@ def hash_of(model: Path) -> dict[str, Any]:
 class Metered:
     """An associator or a relocator that records the effort of its calls since the last `reset`."""
 
+    is_checked = True  # a resolved function checks its answers already
+
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self.reset()

@@ -9,7 +9,7 @@ the tree.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from slam_gym.association.policy import from_policy, greedy, relocator_from_policy
 from slam_gym.association.prediction import Associator, Prediction
@@ -90,8 +90,8 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
             raise ValueError(f"associator {associator}: there is no such file")
         return walk_by(associator)
     resolved: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
-    built_in = isinstance(resolved, _ReadOnlyScan) or any(resolved is known for known in ASSOCIATORS.values())
-    return resolved if built_in else _ReadOnlyScan(resolved)
+    is_checked = getattr(resolved, "is_checked", False) or any(resolved is known for known in ASSOCIATORS.values())
+    return resolved if is_checked else _ReadOnlyScan(resolved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +100,7 @@ class _ReadOnlyScan:
     it."""
 
     associate: Associator
+    is_checked: ClassVar[bool] = True
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         name = getattr(self.associate, "__name__", repr(self.associate))
