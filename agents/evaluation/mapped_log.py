@@ -292,7 +292,8 @@ def surveyed(log: Recording) -> Recording:
         return log
     known = best.features[best.features["identity"] >= 0]
     ids, places = known["identity"].to_numpy(), np.ascontiguousarray(known[["x", "y"]].to_numpy())
-    source = f"{log.source}. It has no survey: maps are compared with batch least squares with its identities."
+    reference = "It has no survey: maps are compared with batch least squares with its identities."
+    source = f"{log.source.rstrip('.')}. {reference}"
     log = replace(log, landmark_ids=ids, landmarks=places, source=source)
     if len(log.reference_times):
         return log
