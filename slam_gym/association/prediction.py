@@ -227,15 +227,16 @@ class Prediction:
             return np.ones((len(rows), len(rows)), np.bool_)
         return among(self.source[3], self.features[rows])
 
-    def visibility(self) -> Array | None:
-        """(k,) probability that each feature is in view of the sensor, walls considered; None where unknown."""
+    def visibility(self, rows: IntArray | None = None) -> Array | None:
+        """Probability (j,) that the features at `rows` (j,), by default all, are in view of the sensor, walls
+        considered; None where unknown."""
         pose, *_, sight, visible = self.source
         if not self.has_view:
             return None
+        (positions, covariances, _), chosen = self.points, slice(None) if rows is None else rows
         if len(visible):
-            return visible.copy()
-        rows, k = self.rows, self.size[0]
-        return probabilities_in_view(rows[3][:k], rows[4][:k], *sight, pose[:3])
+            return visible[chosen].copy()
+        return probabilities_in_view(positions[chosen], covariances[chosen], *sight, pose[:3])
 
     def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
         """A copy with probabilities (k,) of being in view, for any pose; None: unknown.

@@ -143,24 +143,6 @@ def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
     return landmark_rmse(estimated[:, :2], true[:, :2], aligned=aligned)
 
 
-def local_error(estimated: Array, true: Array, pairs: IntArray) -> float:
-    """Mean of |d − d_true| [m] over `pairs` (e, 2) of rows, where d is the distance between the features of a pair.
-
-    `estimated` and `true` are the same features (k, 2), each in any frame, because distances do not depend on it. With
-    pairs that were seen together, it measures whether a map is locally right, which is what driving and association
-    need; over 200 m, half a degree of heading dominates every error in a common frame. NaN without pairs. Raises
-    ValueError where the shapes differ, a value is not finite, or a pair names no row.
-    """
-    estimated, true = _pairs(estimated, true)
-    if not len(pairs):
-        return math.nan
-    if pairs.min() < 0 or pairs.max() >= len(true):
-        raise ValueError(f"pairs: rows {pairs.min()} … {pairs.max()} of {len(true)} features")
-    one, other = pairs.T
-    lengths, true_lengths = (np.hypot(*(points[one] - points[other]).T) for points in (estimated, true))
-    return float(np.abs(lengths - true_lengths).mean())
-
-
 def align_se2(source: Array, target: Array) -> Array:
     """Pose T (3,) that minimises Σ ‖T ⊕ source_i − target_i‖² over points (k, 2) and (k, 2) [m].
 

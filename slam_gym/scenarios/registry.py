@@ -104,6 +104,7 @@ SCENARIOS: dict[str, Scenario] = {
                 new_confidence=1.0 - 1e-6,
                 outlier_factor=25.0,  # in 12 000 steps, a motion is four standard deviations off
                 max_chance_probability=0.05,  # door jambs come in pairs
+                negative_evidence=True,  # in 12 000 steps, spurious measurements confirm some twenty features
             ),
             sensor=SensorSpec(range=20.0),  # 9 features in view on real floors, more than 20 in one of thirty scans
             beams=BeamSpec(count=90, range=20.0),

@@ -4,9 +4,8 @@ import numpy as np
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.consistency import anees
-from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, local_error, map_error_aligned
+from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, map_error_aligned
 from slam_gym.simulation.episode import Episode
-from slam_gym.types import IntArray
 
 _CUTOFF = 1.0  # [m] of the reported GOSPA
 
@@ -18,12 +17,11 @@ def quality(episode: Episode) -> dict[str, float]:
 
     `map_error_aligned` is the error after rigid alignment with the truth, that of the shape of the map.
     `landmark_rmse_…` [m] compare each mapped feature with the real one that most of its measurements came from. Further
-    mapped features of the same real one count in `duplicates`, and as false in GOSPA (p = 2, c = 1 m). `local_error`
-    [m] is the mean error of distances between features that were seen together. `ate` [m] is that of the positions,
-    without alignment, since both start from one known pose. `missed_loop` is 1 if the robot seems to have mapped a
-    place twice (`Slam.missed_loop`). `anees` is the pose NEES divided by its 3 degrees of freedom, averaged over the
-    ticks. `recovered` is 1 if the pose was right again after a kidnapping; `ticks_astray` is the number of ticks until
-    then.
+    mapped features of the same real one count in `duplicates`, and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is the
+    error of the positions, without alignment, since both start from one known pose. `missed_loop` is 1 if the robot
+    seems to have mapped a place twice (`Slam.missed_loop`). `anees` is the pose NEES divided by its 3 degrees of
+    freedom, averaged over the ticks. `recovered` is 1 if the pose was right again after a kidnapping; `ticks_astray` is
+    the number of ticks until then.
     """
     nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
@@ -41,7 +39,6 @@ def quality(episode: Episode) -> dict[str, float]:
         "coverage": episode.coverage(),
         "landmark_rmse_raw": landmark_rmse(mapped, true),
         "landmark_rmse_aligned": landmark_rmse(mapped, true, aligned=True),
-        "local_error": local_error(mapped, true, _seen_together(episode, first)),
         "gospa": parts.total,
         "gospa_localisation": parts.localisation,
         "gospa_missed": parts.missed,
@@ -60,13 +57,3 @@ def quality(episode: Episode) -> dict[str, float]:
         "relocations_right": float(kidnapping.right),
         "relocations_wrong": float(kidnapping.wrong),
     }
-
-
-def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
-    """Pairs (e, 2) of rows of `chosen` (k,), indices of confirmed features, that the active map saw together."""
-    confirmed = np.flatnonzero(~episode.slam.map.provisional)
-    rows = np.full(episode.slam.map.n, -1)
-    current = np.flatnonzero(chosen < len(confirmed))
-    rows[confirmed[chosen[current]]] = current
-    pairs = rows[episode.slam.covisibility.edges().pairs]
-    return np.asarray(pairs[(pairs >= 0).all(axis=1)])

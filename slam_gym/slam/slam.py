@@ -18,6 +18,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.missed_loops import MissedLoops
+from slam_gym.slam.negative_evidence import NegativeEvidence
 from slam_gym.slam.places.fusion import MappedArea
 from slam_gym.slam.places.loops import NO_PAIRS
 from slam_gym.slam.relocate import Relocate, Tracker
@@ -63,6 +64,8 @@ class SlamSpec(Checked):
     # all pairings with old features are rejected; 1: never
     trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from these two rules, and say which
     # measurements are new; both rules need an atlas
+    negative_evidence: bool = False  # where the view is known, remove features that should be in view and are not
+    # measured (`slam_gym.slam.negative_evidence`); needs `relocate`, which notices that the pose is wrong
 
 
 class Slam:
@@ -106,6 +109,7 @@ class Slam:
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
         self._missed_loops = MissedLoops(self.tracker)
+        self._negative_evidence = NegativeEvidence()
         self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
         self._learned_at: deque[int] = deque(maxlen=self.spec.recent)  # steps of the last scans learned from
         self._learned = 0  # [scans] learned from so far
@@ -169,7 +173,7 @@ class Slam:
         return self.close_loops(self.update(scan, prediction, hypothesis), scan)
 
     def update(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """Update the map with the pairings, add new features, and remove features that were not confirmed in time.
+        """Update the map with the pairings, add new features, and remove those that were not confirmed or do not exist.
 
         `hypothesis.new` says which measurements start a feature. If it is None, a measurement starts one if it is
         unpaired *and* individually compatible with no predicted feature: a measurement that is compatible but unpaired
@@ -179,13 +183,16 @@ class Slam:
         m, graph, count = self.map, self.covisibility, len(scan.points)
         self._learned += 1
         self._missed_loops.learn(self._learned, prediction, hypothesis, m)
+        absent = _NO_FEATURES
+        if self.spec.negative_evidence and self.tracker is not None:
+            absent = self._negative_evidence.learn(self._learned, prediction, hypothesis, m)
         m.make_room(count)
         graph.make_room(count)
         is_decided, ids = hypothesis.new is not None, np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
         added, removed, became = learn(
-            m.arrays, m.numbers, graph.counts, scan.arrays, decisions, expected, self._settings()
+            m.arrays, m.numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings()
         )
         self._experience = hypothesis.experience or self._experience
         m.learned(added)

@@ -23,10 +23,11 @@ def learn(
     scan: ScanArrays,
     decisions: tuple[IntArray, BoolArray, bool, IntArray],
     expected: tuple[Array, Array],
+    absent: IntArray,
     settings: Settings,
 ) -> tuple[int, IntArray, IntArray]:
     """Update the map with the pairings of a scan, add new features, record which features were seen together, and
-    marginalise out features that were not confirmed in time.
+    marginalise out features that were not confirmed in time or do not exist.
 
     The map and the graph must have room for as many more features as the scan has measurements.
 
@@ -38,6 +39,7 @@ def learn(
             the latter are decided already, otherwise measurements that are unpaired and compatible with no expected
             feature are entered there; and an array (m,) that receives the id of each measurement's feature, or NO_ID.
         expected: positions (k, 2) and covariances (k, 2, 2) of the features expected.
+        absent: features (r,) that do not exist.
 
     Returns the number of features added, the ids (r,) of those removed, and the index that each feature then has, or
     UNPAIRED. Raises ValueError, with the map unchanged, as `fit_nothing`, `update` and `ekf.add`.
@@ -64,8 +66,10 @@ def learn(
     # maintain
     count_pairs(counts, seen)
     kept, became, left = np.empty(n + added, np.int64), np.full(n + added, UNPAIRED), 0
+    exists = np.ones(n + added, np.bool_)
+    exists[absent] = False
     for j in range(n + added):
-        if counted[ekf.SEEN, j] >= confirmations or counted[ekf.FIRST_SEEN, j] >= before:
+        if exists[j] and (counted[ekf.SEEN, j] >= confirmations or counted[ekf.FIRST_SEEN, j] >= before):
             became[j], kept[left] = left, j
             left += 1
     removed = counted[ekf.IDS, : n + added][became == UNPAIRED]

@@ -15,7 +15,6 @@ from slam_gym.metrics.map_quality import (
     coverage,
     gospa,
     landmark_rmse,
-    local_error,
     map_error,
     map_error_aligned,
 )
@@ -95,22 +94,6 @@ def test_alignment_recovers_a_rigid_motion_and_beats_its_neighbours(seed):
 def test_points_at_one_place_have_no_heading():
     for value in (0.1, 1.0 / 3.0, -7.7):
         assert align_se2(np.full((3, 2), value), np.random.default_rng(0).normal(size=(3, 2)))[2] == 0.0
-
-
-def test_the_local_error_sees_the_shape_and_not_the_frame():
-    rng = np.random.default_rng(0)
-    points, pairs = rng.uniform(-50, 50, (10, 2)), np.array([[0, 1], [2, 5], [8, 9]])
-    assert local_error(transform(np.array([30.0, -4.0, 0.5]), points), points, pairs) == pytest.approx(0.0, abs=1e-12)
-    stretched = 1.01 * points
-    lengths = [math.dist(points[i], points[j]) for i, j in pairs]
-    assert local_error(stretched, points, pairs) == pytest.approx(0.01 * np.mean(lengths))
-    bent = points.copy()
-    bent[3] += 7.0  # in no pair
-    assert local_error(bent, points, pairs) == 0.0
-    assert math.isnan(local_error(points, points, np.empty((0, 2), np.int64)))
-    for wrong in (-1, 10):
-        with pytest.raises(ValueError, match=r"of 10 features"):
-            local_error(points, points, np.array([[0, wrong]]))
 
 
 def test_coverage_counts_points_in_known_cells():

@@ -49,19 +49,6 @@ def test_the_shape_of_the_map_is_measured_over_the_oldest_feature_of_each_source
     assert found["landmark_rmse_aligned"] <= found["landmark_rmse_raw"]
 
 
-def test_the_local_error_is_over_the_features_that_were_seen_together(judged) -> None:
-    episode, found = judged
-    of, _ = oldest(episode)
-    positions, true = episode.slam.map.positions, episode.site.plan.features.positions
-    errors = [
-        abs(math.dist(positions[i], positions[j]) - math.dist(true[a], true[b]))
-        for a, i in of.items()
-        for b, j in of.items()
-        if i < j and episode.slam.covisibility.count(i, j)
-    ]
-    assert len(errors) > 10 and found["local_error"] == pytest.approx(np.mean(errors))
-
-
 def gospa_of(estimated, true) -> float:
     """p = 2, α = 2: the best assignment of distances cut off at c, and c²/2 for each point left over."""
     costs = np.minimum(np.hypot(*(estimated[:, None] - true).transpose(2, 0, 1)), CUTOFF) ** 2
@@ -110,7 +97,5 @@ def test_a_robot_is_astray_from_the_kidnapping_until_its_pose_is_right_or_until_
 def test_before_anything_is_confirmed_there_is_an_empty_map() -> None:
     found = quality(start())
     assert found["map_error"] == 1.0 and found["features"] == found["ticks"] == 0.0
-    assert all(
-        math.isnan(found[name]) for name in ("landmark_rmse_raw", "landmark_rmse_aligned", "local_error", "anees")
-    )
+    assert all(math.isnan(found[name]) for name in ("landmark_rmse_raw", "landmark_rmse_aligned", "anees"))
     assert all(type(value) is float for value in found.values())
