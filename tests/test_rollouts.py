@@ -93,18 +93,7 @@ def _relocate(scenario: str, budget: int, **arguments: Any) -> Rollout:
 
 _TWIST = ("office", "aliased", "crowd", "drift-1", "drift-3", "crowd-drift", "sparse", "loop", "building")
 _GOALS = ("hall", "drift-2", "aliased-drift", "hall-drift", "patrol", "short-sighted")
-_ASSOCIATORS = (
-    "global_nearest_neighbour",
-    "ipjc",
-    "jcbb",
-    "learned",
-    "map_hypothesis",
-    "marginal",
-    "nearest_neighbour",
-    "one_point_ransac",
-    "singles",
-    "true_association",
-)
+_ASSOCIATORS = sorted(set(slam_gym.ASSOCIATORS) - {"ppo"})
 _RELOCATORS = ("gcbb", "indexed", "max_clique", "random_sampling")
 
 ROLLOUTS: dict[str, Rollout] = {

@@ -18,8 +18,8 @@ _ABSENT = 4.0  # least expected number of looks that should have shown a feature
 class NegativeEvidence:
     """Sums the probability that a feature was in view over every fifth scan that did not measure it.
 
-    A confirmed feature does not exist if the sum reaches 4 and the number of scans that did measure it. The robot must
-    know where it is: a map whose pose is wrong shows all features to be absent.
+    A confirmed feature does not exist if the sum is at least 4, and at least the number of scans that measured it. The
+    robot must know where it is: from a wrong pose, all features seem to be absent.
     """
 
     def __init__(self) -> None:

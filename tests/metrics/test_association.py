@@ -62,20 +62,9 @@ def test_every_verdict_of_one_scan():
     ids, created, sources, decisions = zip(*scan)
     tally = update(identities, step(ids, created), truth(*sources))
     assert identities.decisions.tolist() == list(decisions)
-    assert tally == Tally(
-        tp=1,
-        fp_wrong=3,
-        fp_spurious=2,
-        fp_duplicate=1,
-        fn=2,
-        tn=4,
-        in_map=6,
-        new_right=1,
-        new_wrong=2,
-        not_in_map=3,
-        scans=1,
-        scans_exact=0,
-    )
+    wrong = {"fp_wrong": 3, "fp_spurious": 2, "fp_duplicate": 1, "new_wrong": 2}
+    right = {"tp": 1, "fn": 2, "tn": 4, "in_map": 6, "new_right": 1, "not_in_map": 3}
+    assert tally == Tally(scans=1, scans_exact=0, **right, **wrong)
     assert tally.precision == 1 / 7 and tally.recall == 1 / 6
     assert identities.source_of(np.array([6, 5, 3, 7])).tolist() == [3, 8, 7, SPURIOUS]
 
