@@ -58,7 +58,7 @@ SHOWN = (*BASELINES, "learned", "clairvoyant")
 truth."""
 
 LOOK_AROUND = 0
-"""The goal that is always legal."""
+"""The goal that is always legal, by `info["action_mask"]` (K,)."""
 
 
 def visible(info: Info) -> dict[str, Any]:
@@ -88,8 +88,3 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
     if missing := [part for part in ("name", "action", "reset", "act") if not hasattr(agent, part)]:
         raise ValueError(f"agent {name!r} has no {' and no '.join(missing)}: see agents.drivers.base.Agent")
     return cast(Agent, agent)
-
-
-def legal_goals(info: Info) -> NDArray[np.bool_]:
-    """(K,) which goals are legal; slot 0, to look around, always is."""
-    return np.asarray(info["action_mask"], dtype=bool)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation
 from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
@@ -27,7 +27,7 @@ class RandomAgent(Agent):
         self._rng = np.random.default_rng(seed)
 
     def act(self, observation: Observation, info: Info) -> int:
-        return int(self._rng.choice(np.flatnonzero(legal_goals(info))))
+        return int(self._rng.choice(np.flatnonzero(info["action_mask"])))
 
 
 class NearestFrontier(Agent):
@@ -38,7 +38,7 @@ class NearestFrontier(Agent):
 
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
-        frontiers = legal_goals(info) & (goals["frontier"] > 0.5)
+        frontiers = info["action_mask"] & (goals["frontier"] > 0.5)
         if not frontiers.any():
             return LOOK_AROUND
         return int(np.argmin(np.where(frontiers, goals["path"], np.inf)))
@@ -60,7 +60,7 @@ class Lawnmower(Agent):
 
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
-        frontiers, revisits = (legal_goals(info) & (goals[kind] > 0.5) for kind in ("frontier", "revisit"))
+        frontiers, revisits = (info["action_mask"] & (goals[kind] > 0.5) for kind in ("frontier", "revisit"))
         slots = np.flatnonzero(frontiers if frontiers.any() else revisits)
         if not len(slots):
             return LOOK_AROUND
@@ -110,7 +110,7 @@ class InformationGain(Agent):
         places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]))
         rate /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
         rate[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0
-        chosen = int(np.argmax(np.where(legal_goals(info), rate, -np.inf)))
+        chosen = int(np.argmax(np.where(info["action_mask"], rate, -np.inf)))
         if chosen == LOOK_AROUND:
             self._looked.add(places[LOOK_AROUND])
         elif goals["revisit"][chosen] > 0.5:
@@ -124,5 +124,5 @@ class InformationGainNoRevisits(InformationGain):
     name = "information_gain_no_revisits"
 
     def act(self, observation: Observation, info: Info) -> int:
-        mask = legal_goals(info) & ~(unsquash_goals(observation["goals"])["revisit"] > 0.5)
+        mask = info["action_mask"] & ~(unsquash_goals(observation["goals"])["revisit"] > 0.5)
         return super().act(observation, {**info, "action_mask": mask})

@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
-from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation
 from agents.drivers.baselines import InformationGain
 from slam_gym._jit import compiled
 from slam_gym.envs.observation import unsquash_goals
@@ -69,7 +69,7 @@ class Clairvoyant(Agent):
         """
         if self._episode is None:
             raise RuntimeError("the clairvoyant driver has not been shown an episode: call behold(episode)")
-        episode, goals, legal = self._episode, unsquash_goals(observation["goals"]), legal_goals(info)
+        episode, goals, legal = self._episode, unsquash_goals(observation["goals"]), info["action_mask"]
         here, left = episode.poses[-1], float(episode.scenario.budget - episode.ticks)
         places = transform(here, np.column_stack([goals["x"], goals["y"]]))
         there, ways = self._views.nearest(places), self._views.ways_from(self._views.nearest(here[None, :2]))

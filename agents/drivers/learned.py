@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, Agent, Info, Observation
 from agents.drivers.baselines import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.simulation.goals import Tried
@@ -65,33 +65,25 @@ def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[
     own[:, 6] = greedy
     own[:, 7] = np.abs(places).max(axis=1) > 0.5 * METRES
     own[:, 8] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
-    own[:, 9:] = _around(_summed(observation["image"]), places)
-    fields = np.concatenate([own, np.tile(_common(observation, goals, left, used), (len(own), 1))], axis=1)
+    own[:, 9:] = _around(observation["image"], places)
+    free, wall, features = observation["image"].reshape(3, -1).mean(axis=1) / 255.0
+    common = np.array([
+        budget, math.log10(left + 1.0) - 2.0, used / 500.0, goals["frontier"].sum() / 10.0, goals["area"].sum() / 500.0,
+        free, wall, 10.0 * features, features / (free + 0.02),
+    ])  # fmt: skip
+    fields = np.concatenate([own, np.tile(common, (len(own), 1))], axis=1)
     rows = np.argsort(-np.where(legal, greedy, -np.inf), kind="stable")[:CHOICES]
     gaps = np.minimum(np.hypot(*(places[rows, None] - places[rows]).transpose(2, 0, 1)) / GAP, 4.0)
     return rows, Tokens(np.clip(fields[rows], -4.0, 4.0), gaps, greedy[rows], legal[rows])
 
 
-def _common(observation: Observation, goals: dict[str, Array], left: float, used: float) -> Array:
-    free, wall, features = observation["image"].reshape(3, -1).mean(axis=1) / 255.0
-    return np.array([
-        float(observation["budget"][0]), math.log10(left + 1.0) - 2.0, used / 500.0,
-        goals["frontier"].sum() / 10.0, goals["area"].sum() / 500.0, free, wall, 10.0 * features,
-        features / (free + 0.02),
-    ])  # fmt: skip
-
-
-def _summed(image: Array) -> Array:
-    """Summed-area tables (4, PIXELS + 1, PIXELS + 1) of free, wall, features and unknown."""
+def _around(image: Array, places: Array) -> Array:
+    """(k, 4 · len(_REACHES)) means of free, wall, features and unknown in squares around the places, clipped at the
+    edge of the image."""
     layers = image.astype(np.float64) / 255.0
     unknown = np.maximum(0.0, 1.0 - layers[0] - layers[1])
-    out = np.zeros((4, PIXELS + 1, PIXELS + 1))
-    out[:, 1:, 1:] = np.concatenate([layers, unknown[None]]).cumsum(axis=1).cumsum(axis=2)
-    return out
-
-
-def _around(summed: Array, places: Array) -> Array:
-    """(k, 4 · len(_REACHES)) means of the layers in squares around the places, clipped at the edge of the image."""
+    summed = np.zeros((4, PIXELS + 1, PIXELS + 1))  # of all pixels before
+    summed[:, 1:, 1:] = np.concatenate([layers, unknown[None]]).cumsum(axis=1).cumsum(axis=2)
     pixel, out = METRES / PIXELS, []
     rows, columns = np.floor((METRES / 2.0 - places) / pixel).astype(np.int64).T
     for reach in _REACHES:
@@ -193,7 +185,7 @@ class LearnedDriver(Agent):
 
     def act(self, observation: Observation, info: Info) -> int:
         self._ticks += float(info["ticks"])
-        legal = legal_goals(info) & (unsquash_goals(observation["goals"])["frontier"] > 0.5)
+        legal = info["action_mask"] & (unsquash_goals(observation["goals"])["frontier"] > 0.5)
         if not legal.any():
             return self._without_frontiers.act(observation, info)
         place = np.asarray(info["pose"], float)[None, :2]

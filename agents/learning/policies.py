@@ -30,7 +30,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 from stable_baselines3.common.utils import LinearSchedule
 from torch import Tensor, nn
 
-from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import ActionKind, Info, Observation
 from slam_gym._files import zip_members
 from slam_gym.association.tracking import ppo
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
@@ -277,29 +277,28 @@ class PolicyAgent:
     @classmethod
     def _trusted(cls, path: Path) -> PolicyAgent:
         try:
-            policy = PPO.load(path, device="cpu").policy
-        except (TypeError, KeyError, AssertionError):  # its policy takes masks
-            try:
-                policy = MaskablePPO.load(path, device="cpu").policy
-            except Exception as error:  # of another algorithm, or damaged
-                raise ValueError(f"model {path}: not of PPO or MaskablePPO ({error})") from None
-        goal = isinstance(policy.action_space, spaces.Discrete)
-        if goal != isinstance(policy, MaskableActorCriticPolicy):
+            kind: Any = load_from_zip_file(path, device="cpu")[0]["policy_class"]
+            masked = issubclass(kind, MaskableActorCriticPolicy)
+            policy = (MaskablePPO if masked else PPO).load(path, device="cpu").policy
+        except Exception as error:  # of another algorithm, or damaged
+            raise ValueError(f"model {path}: not of PPO or MaskablePPO ({error})") from None
+        if masked != isinstance(policy.action_space, spaces.Discrete):
             raise ValueError(f"model {path}: goals need MaskablePPO, and twists PPO")
-        return cls(policy, "goal" if goal else "twist", deterministic=goal)
+        return cls(policy, "goal" if masked else "twist", deterministic=masked)
 
     def reset(self, seed: int) -> None:
         torch.manual_seed(seed)
 
     def act(self, observation: Observation, info: Info) -> int | NDArray[np.float32]:
-        masks = {"action_masks": legal_goals(info)} if self.action == "goal" else {}
+        masks = {"action_masks": info["action_mask"]} if self.action == "goal" else {}
         action, _ = self._policy.predict(dict(observation), deterministic=self._deterministic, **masks)
         return int(action) if self.action == "goal" else np.asarray(action, np.float32)
 
 
-def branch_weights(policy: Any, about: About) -> Weights:
-    """The arrays of a network trained on Associate-v0, with which `tracking.ppo` associates without torch."""
-    net, known, arrays = policy.features_extractor, about.training, {}
+def branch_weights(policy: Any, known: dict[str, Any]) -> Weights:
+    """The arrays of a network trained on Associate-v0, with which `tracking.ppo` associates without torch. `known` is
+    the entry `training` of its description."""
+    net, arrays = policy.features_extractor, {}
     layers = net.embed[0], net.embed[2], net.situation[1], net.score[0], net.score[2]
     for weight, bias, layer in zip("ABCDw", ("a", "b", "c", "d", "w0"), layers):
         arrays |= {weight: layer.weight.detach().numpy().copy(), bias: layer.bias.detach().numpy().copy()}

@@ -27,19 +27,9 @@ from threadpoolctl import threadpool_limits
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, reset_arguments
 from agents.evaluation.records import command_line, plain, versions
+from agents.learning import policies
 from agents.learning.cloning import clone
-from agents.learning.policies import (
-    CHOICES,
-    HYPERPARAMETERS,
-    LAST,
-    About,
-    Decision,
-    Hyperparameters,
-    branch_weights,
-    load_hyperparameters,
-    make_algorithm,
-    read_about,
-)
+from agents.learning.policies import About, Decision, Hyperparameters
 from agents.options import Training
 from slam_gym import weights
 from slam_gym.geometry import compose
@@ -115,10 +105,11 @@ def train(
     that is to be resumed; for more worlds than environments or held-out episodes; and as `load_hyperparameters`.
     """
     out = training.output or Path(folder)
-    hyper = load_hyperparameters(decision, training.hyperparameters or HYPERPARAMETERS)
+    hyper = policies.load_hyperparameters(decision, training.hyperparameters or policies.HYPERPARAMETERS)
     changes = {name: getattr(training, name) for name in ("timesteps", "eval_every", "envs")}
     hyper = replace(hyper, **{name: value for name, value in changes.items() if value is not None})
-    last = _last_model(out)
+    models = [*out.glob(MODEL), *out.glob(f"{CHECKPOINTS}/*.zip")]
+    last = max(models, key=lambda path: path.stat().st_mtime, default=None)
     if last is not None and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if training.resume and associator is not None:
@@ -138,7 +129,7 @@ def train(
     vectorised = SubprocVecEnv if training.processes and hyper.envs > 1 else DummyVecEnv
     learned_from = [partial(make, decision, replace(each, split="train"), hyper.reward_scale) for each in worlds]
     envs: VecEnv = vectorised([learned_from[k % len(worlds)] for k in range(hyper.envs)])
-    model: Any = make_algorithm(decision, envs, hyper, training.seed)
+    model: Any = policies.make_algorithm(decision, envs, hyper, training.seed)
     model.about = asdict(about)  # Stable-Baselines3 writes it into its files as JSON
     if last is not None:
         _resume(model, last, about)
@@ -158,7 +149,7 @@ def train(
     finally:
         model.save(out / MODEL)
         if decision == "branch":
-            weights.write(out / WEIGHTS, branch_weights(model.policy, replace(about, timesteps=model.num_timesteps)))
+            weights.write(out / WEIGHTS, policies.branch_weights(model.policy, about.training))
         with contextlib.suppress(OSError, EOFError):  # Ctrl-C has ended its processes
             envs.close()
         watched.close()
@@ -169,7 +160,7 @@ def _watch(out: Path, about: About, training: Training, held_out: VecEnv, start:
     """What tries the present weights on held-out worlds, and keeps the best; of a resumed training, the best of all."""
     warnings.filterwarnings("ignore", "Training and eval env", UserWarning)  # one has processes, the other needs none
     results = [np.load(path)["results"] for path in out.glob("held_out_from_*/evaluations.npz")]
-    watch = (MaskableEvalCallback if about.action in CHOICES else EvalCallback)(
+    watch = (MaskableEvalCallback if about.action in policies.CHOICES else EvalCallback)(
         held_out,
         n_eval_episodes=training.eval_episodes,
         eval_freq=max(about.hyperparameters.eval_every // about.hyperparameters.envs, 1),
@@ -193,7 +184,7 @@ class EpisodeEnds(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if self._hyper.annealed:
-            left = LAST + (1.0 - LAST) * self.model._current_progress_remaining
+            left = policies.LAST + (1.0 - policies.LAST) * self.model._current_progress_remaining
             self.model.ent_coef = left * self._hyper.ppo["ent_coef"]  # type: ignore[attr-defined]
 
     def _on_rollout_end(self) -> None:
@@ -203,16 +194,10 @@ class EpisodeEnds(BaseCallback):
             self.logger.record(f"rollout/{name}", float(np.mean([episode[name] for episode in episodes])))
 
 
-def _last_model(out: Path) -> Path | None:
-    """The file of a folder that was written last, if it has any."""
-    files = [*out.glob(MODEL), *out.glob(f"{CHECKPOINTS}/*.zip")]
-    return max(files, key=lambda path: path.stat().st_mtime, default=None)
-
-
 def _resume(model: Any, path: Path, about: About) -> None:
     """Load weights, optimiser and step count, and go on to new worlds. ValueError where it was trained on something
     else."""
-    before = read_about(path)
+    before = policies.read_about(path)
     for name in sorted(about.training.keys() - set(_MAY_CHANGE)):
         was, now = before.training.get(name), about.training[name]
         if was != now:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.drivers.base import ActionKind, Info, Observation, find_agent, legal_goals, make_agent
+from agents.drivers.base import ActionKind, Info, Observation, find_agent, make_agent
 from slam_gym.association import resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
@@ -118,7 +118,7 @@ class EntryAgent:
         try:
             if self.action == "twist":
                 return _numbers({"twist": action}, "twist", (2,)).clip(-1.0, 1.0).astype(np.float32)
-            if action not in np.flatnonzero(legal_goals(info)).tolist():
+            if action not in np.flatnonzero(info["action_mask"]).tolist():
                 raise ValueError(f"goal {str(action)[:80]} is not legal")
             return int(action)
         except _NONSENSE as error:
