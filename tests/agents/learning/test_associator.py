@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learning.association_scans import HIDDEN, Source, decisions_of
 from agents.learning.associator import (
+    HIDDEN,
     SHARES,
     AssociatorPlan,
     Batch,
+    Source,
+    decisions_of,
     mean_loss,
     odds_of,
     probabilities,
