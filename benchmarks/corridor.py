@@ -7,8 +7,6 @@ knows it; the noise is always the same.
     python benchmarks/corridor.py        # 40 seeds, half a minute
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from benchmarks.common import Record, options, table
@@ -23,36 +21,28 @@ ASSOCIATORS = ("nearest_neighbour", "singles", "jcbb", "true_association")
 SETTINGS = ((1.0, 0.95), (1.0, 0.99), (2.0, 0.99))  # Q, confidence of the gates
 
 
-class CorridorRun(NamedTuple):
-    """The result of one run of the corridor."""
-
-    slam: Slam
-    tally: Tally
-    nees: Array  # (45,) pose NEES over 3 degrees of freedom; the first, of a pose known exactly, is 0
-
-
 def run_corridor(
     associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, locality: bool = True
-) -> CorridorRun:
-    """Run one loop through the corridor."""
+) -> tuple[JudgedSlam, Array]:
+    """One loop through the corridor, and the NEES (44,) of the poses after the first, over 3 degrees of freedom."""
     spec = MapSpec(confidence=confidence, iterations=1, right_invariant=False, second_order=False)
     slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)
-    nees: list[float] = []
+    poses = []
     for odometry, scan, truth in walk_round(np.random.default_rng(seed), q):
         judged.step(odometry, scan, truth)
-        nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose) if nees else 0.0)
-    return CorridorRun(slam, judged.tally, np.array(nees))
+        poses.append((slam.map.pose, slam.map.pose_covariance, truth.pose))
+    return judged, np.array([pose_nees(*pose) for pose in poses[1:]])
 
 
 def summary(associator: str, seeds: int, q: float, confidence: float) -> Record:
     """Means over the seeds, and the median over seeds of the run's ANEES."""
-    runs = [run_corridor(associator, seed, q, confidence) for seed in range(seeds)]
+    runs, nees = zip(*(run_corridor(associator, seed, q, confidence) for seed in range(seeds)))
     total = sum((run.tally for run in runs), Tally())
     row: Record = {"Q": q, "confidence": confidence, "associator": associator}
     row |= {"features": float(np.mean([run.slam.map.n for run in runs]))}
     row |= {"TP": total.tp / seeds, "FP": total.fp / seeds, "FN": total.fn / seeds, "precision": total.precision}
-    return row | {"ANEES": float(np.median([run.nees[1:].mean() / 3.0 for run in runs]))}
+    return row | {"ANEES": float(np.median([values.mean() / 3.0 for values in nees]))}
 
 
 if __name__ == "__main__":

@@ -91,20 +91,17 @@ def sound(rows: pd.DataFrame) -> str:
 
 def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     """Mean paired differences NEW − OLD with their intervals, by scenario and associator, and over all scenarios."""
-    pairs = new.merge(old, on=KEYS, suffixes=(" new", " old"))
-    groups = [*pairs.groupby(["associator", "scenario"], sort=False)]
-    groups += [((name, "all"), group) for name, group in pairs.groupby("associator", sort=False)]
-    rows = []
-    for (associator, scenario), group in groups:
-        row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
-        for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
-            now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
-            both = (now - before)[np.isfinite(now - before)]  # without drives that have no batch solution
-            row[name] = mean_interval(both, np.random.default_rng(0), "+")
-            row["equal"] = row.get("equal", True) & np.isclose(now, before, rtol=0.0, atol=0.0, equal_nan=True)
-        row["equal"] = int(row["equal"].sum())
-        rows.append(row)
-    return pd.DataFrame(rows)
+    new, old = new.set_index(KEYS).align(old.set_index(KEYS), join="inner")  # older files have fewer measures
+    gaps = (new - old)[[name for name in MEASURES if name in old]]
+    gaps = gaps.assign(equal=((new == old) | (new.isna() & old.isna()))[gaps.columns].all(axis=1)).reset_index()
+
+    def summary(group: pd.DataFrame) -> pd.Series:
+        known = {name: group[name].dropna() for name in gaps.columns[3:-1]}  # not of drives without a batch solution
+        means = {name: mean_interval(known[name].to_numpy(float), np.random.default_rng(0), "+") for name in known}
+        return pd.Series({"worlds": len(group), **means, "equal": group["equal"].sum()})
+
+    both = pd.concat([gaps, gaps.assign(scenario="all")])
+    return both.groupby(["associator", "scenario"], sort=False).apply(summary).reset_index()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import gc
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -66,13 +66,6 @@ GROWTH = 0.05  # of memory from the second to the last fifth of the episodes; mo
 LONGEST_TICK = 1.0  # [s] CPU time, with --associator
 
 
-class Step(NamedTuple):
-    """The effort of a step of an episode."""
-
-    ticks: int
-    seconds: float  # CPU time
-
-
 def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[str, gym.Env[Any, Any]]:
     """A description of episode `number`, and its environment; scenarios and extremes take turns, the rest is random.
 
@@ -93,8 +86,9 @@ def episode(number: int, seed: int, ticks: int, associator: str = "") -> tuple[s
     return f"episode {number}: {kind}, {name}, {extreme}, {arguments}", env
 
 
-def checked(env: Any, seed: int) -> Iterator[Step]:
-    """Play an episode at random; yields the effort of each step. Raises AssertionError where a check fails."""
+def checked(env: Any, seed: int) -> Iterator[tuple[int, float]]:
+    """Play an episode at random; yields the ticks of each step, and its CPU time [s]. Raises AssertionError where a
+    check fails."""
     rng, total = np.random.default_rng(seed), 0.0
     observation, info = env.reset(seed=seed)
     first, over = info.get("map_error"), False
@@ -108,7 +102,7 @@ def checked(env: Any, seed: int) -> Iterator[Step]:
         assert env.observation_space.contains(observation), "an observation is outside of its space"
         assert math.isfinite(reward), f"the reward is {reward}"
         total += reward
-        yield Step(int(info.get("ticks", 1)), 1e-6 * microseconds)
+        yield int(info.get("ticks", 1)), 1e-6 * microseconds
     explored = getattr(env, "episode", None)
     if explored is not None:
         check_covariance(explored.slam.map.covariance)
@@ -136,10 +130,10 @@ if __name__ == "__main__":
     while total < ticks:
         words, env = episode(number, a.seed, length, a.associator)
         try:
-            for step in checked(env, number):
-                total += step.ticks
-                if ready() == loops and step.seconds > worst * step.ticks:
-                    worst, when = step.seconds / step.ticks, words
+            for taken, seconds in checked(env, number):
+                total += taken
+                if ready() == loops and seconds > worst * taken:
+                    worst, when = seconds / taken, words
                 loops = ready()
         except Exception as error:
             broken += 1

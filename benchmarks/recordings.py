@@ -46,11 +46,6 @@ PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
 
 
-def spread(items: Sequence[Any], count: int) -> list[Any]:
-    """At most `count` of the items, evenly spaced."""
-    return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
-
-
 def reference(log: Recording) -> Smoothed:
     """The least-squares optimum of a labelled log, started at the filter with true association."""
     return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
@@ -64,7 +59,10 @@ def park(folder: Path, scans: int, steps: int | None) -> tuple[Landmarks, dict[s
     mapped = map_log(log.part(0, half), "jcbb", slam_for(log))
     slam = mapped.slam
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
-    chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
+    chosen: list[PlacedScan] = []
+    for side in (True, False):
+        known = [one for one in placed if one[2] is side]
+        chosen += [known[i] for i in np.linspace(0, len(known) - 1, min(scans, len(known))).astype(int).tolist()]
     localities: dict[str, Locality | None] = {
         "covisibility": covisible(slam.covisibility),
         "two hops": covisible(slam.covisibility, hops=2),

@@ -165,9 +165,8 @@ def simulated(kind: LogKind, seed: int) -> Recording:
 if __name__ == "__main__":
     a = options(__doc__, associators=("jcbb", "marginal", CEILING), seeds=4, kinds=tuple(KINDS))
     rows = []
-    for (name, kind), seed in product(KINDS.items(), range(a.seed, a.seed + (1 if a.quick else a.seeds))):
-        if name not in a.kinds:
-            continue
+    for name, seed in product(a.kinds, range(a.seed, a.seed + (1 if a.quick else a.seeds))):
+        kind = KINDS[name]
         log = simulated(kind, seed)
         log = log.part(0, 40 // kind.every) if a.quick else log
         for associator in a.associators:

@@ -17,27 +17,16 @@ import pandas as pd
 
 import slam_gym  # noqa: F401 (registers the environments)
 from benchmarks.common import Record, options, table, timed
-from slam_gym.simulation.association_runs import nearest_frontier
-from slam_gym.simulation.driver import Command, commands
-from slam_gym.simulation.goals import Places, propose
+from slam_gym.simulation.association_runs import drive, nearest_frontier
 
 SMALL = 100  # features; the headline is for steps in maps of at most this size
 EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
 
 
-def commands_of(episode: Any) -> Iterator[Command]:
-    """The commands that drive to one nearest frontier after the other."""
-    rng, places = np.random.default_rng(0), Places()
-    while True:
-        goals = propose(episode.scenario, episode.slam.map, episode.grid, places, episode.tried)
-        slot = nearest_frontier(goals, rng)
-        yield from commands(episode, slot, goals.positions[slot])
-
-
 def explore(env: Any, world: int) -> Iterator[float]:
     """Run an episode in a test world; yields the time [µs] of each step."""
     env.reset(seed=world, options={"world": world})
-    over, driven = False, commands_of(env.episode)
+    over, driven = False, drive(env.episode, nearest_frontier, np.random.default_rng(0))
     while not over:
         (_, _, over, _, _), microseconds = timed(env.step, np.array(next(driven), np.float32))
         yield microseconds

@@ -143,4 +143,4 @@ def test_odd_worlds_work(scenario, action, reward) -> None:
 def test_a_long_run_in_its_shortest_form_breaks_nothing(number: int, associator: str) -> None:
     """A few episodes with extreme settings."""
     words, env = long_run.episode(number, 0, 24, associator)
-    assert sum(step.ticks for step in long_run.checked(env, number)) > 0, words
+    assert sum(ticks for ticks, _ in long_run.checked(env, number)) > 0, words
