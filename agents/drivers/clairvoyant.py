@@ -4,7 +4,7 @@ It knows the plan, its true pose, and which features its map contains. It does n
 """
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,9 @@ _WORDS = 4_000_000  # limit on the memory for what is seen on all paths, which d
 Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""
 
+Legs = tuple[Array, Bits]
+"""Durations [ticks] or lengths [m] of paths (…, v), and the features seen on them, (…, v, w)."""
+
 
 class Clairvoyant(Agent):
     """Chooses the goal from which the best tour over the true rooms maps most features in the remaining ticks.
@@ -54,8 +57,7 @@ class Clairvoyant(Agent):
         """Receive the truth behind an episode that has just begun."""
         self._episode, rng = episode, np.random.default_rng(0)
         self._views = views = TrueViews(episode.site, episode.scenario.sensor.range)
-        ticks = OVERHEAD + views.ways.lengths[:, views.viewpoints] / SPEED
-        self._between = ticks, np.ascontiguousarray(views.ways.seen[:, views.viewpoints])
+        self._between = views.legs_to(views.viewpoints)
         self._chance = np.exp(NOISE * rng.standard_normal((TOURS, len(views.viewpoints))))
 
     def act(self, observation: Observation, info: Info) -> int:
@@ -72,17 +74,17 @@ class Clairvoyant(Agent):
         episode, goals, legal = self._episode, unsquash_goals(observation["goals"]), info["action_mask"]
         here, left = episode.poses[-1], float(episode.scenario.budget - episode.ticks)
         places = transform(here, np.column_stack([goals["x"], goals["y"]]))
-        there, ways = self._views.nearest(places), self._views.ways_from(self._views.nearest(here[None, :2]))
-        ticks = OVERHEAD + np.maximum(ways.lengths[0, there], goals["path"]) / SPEED
+        there = self._views.nearest(places)
+        lengths, on_way = self._views.ways_from(self._views.nearest(here[None, :2]))
+        ticks = OVERHEAD + np.maximum(lengths[0, there], goals["path"]) / SPEED
         ticks[LOOK_AROUND] = LOOK
         known, worth = mapped_already(episode), worth_of(episode)
         values = np.full(len(legal), -np.inf)
         for k in np.flatnonzero(legal):
-            seen, rest = ways.seen[0, there[k]], left - ticks[k]
+            seen, rest = on_way[0, there[k]], left - ticks[k]
             gain = gained(known, seen, worth)
             if rest > 0.0:
-                early, tours = EARLY * rest / left, self._views.ways
-                start = OVERHEAD + tours.lengths[:, there[k]] / SPEED, np.ascontiguousarray(tours.seen[:, there[k]])
+                early, start = EARLY * rest / left, self._views.legs_to(there[k])
                 gain_after = best_tour(start, self._between, rest, known | seen, worth, self._chance, early)
                 values[k] = gain * (1.0 + early) + gain_after
             else:
@@ -120,10 +122,6 @@ def gained(seen: Bits, more: Bits, worth: Array) -> float:
     return total
 
 
-Legs = tuple[Array, Bits]
-"""Durations [ticks] of paths to viewpoints (…, v), and the features seen on them, (…, v, w)."""
-
-
 @compiled
 def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, early: float) -> float:
     """The gain of the best of several tours through viewpoints: the `worth` (n,) of new features, increased by a
@@ -154,15 +152,8 @@ def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array,
 # -- features seen from every place, and on every path between places ------------------------------------------------
 
 
-class Ways(NamedTuple):
-    """The shortest paths from some cells to all cells, and the features seen on them, in either direction."""
-
-    lengths: Array  # (s, c) [m]; inf where there is no path
-    seen: Bits  # (s, c, w) from the cells of the path, both ends included
-
-
 class TrueViews:
-    """Views of one building: `cells` (c, 2) [m] in W, `viewpoints` (v,) among them, and the paths from those.
+    """Views of one building: `cells` (c, 2) [m] in W, `viewpoints` (v,) among them, and the `ways` from those.
 
     From a cell, the observable features are `seen` (c, w) that are near and that no wall hides.
     """
@@ -176,10 +167,16 @@ class TrueViews:
         self.viewpoints = _spread(self.cells, most)
         self.ways = self.ways_from(self.viewpoints)
 
-    def ways_from(self, sources: IntArray) -> Ways:
-        """The paths from `sources` (s,), indices of cells."""
+    def ways_from(self, sources: IntArray) -> Legs:
+        """Lengths (s, c) [m] of the shortest paths from `sources` (s,), indices of cells, to all cells, inf where there
+        is none; and the features (s, c, w) seen from the cells of a path, both ends included."""
         lengths, before = dijkstra(self._graph, indices=sources, return_predecessors=True)
-        return Ways(lengths, _along(before, self.seen, np.isfinite(lengths)))
+        return lengths, _along(before, self.seen, np.isfinite(lengths))
+
+    def legs_to(self, cells: Any) -> Legs:
+        """Durations [ticks] of the paths from all viewpoints to `cells`, and the features seen on them."""
+        lengths, seen = self.ways
+        return OVERHEAD + lengths[:, cells] / SPEED, np.ascontiguousarray(seen[:, cells])
 
     def nearest(self, points: Array) -> IntArray:
         """(q,) indices of the cells nearest to `points` (q, 2) in W."""

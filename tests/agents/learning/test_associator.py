@@ -6,21 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.learning.associator import (
-    HIDDEN,
-    SHARES,
-    AssociatorPlan,
-    Batch,
-    Source,
-    decisions_of,
-    mean_loss,
-    odds_of,
-    probabilities,
-    sources,
-    tensors,
-    trained,
-    untrained,
-)
+from agents.learning import associator
 from slam_gym.association.tracking.marginal import weigh
 from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
 from slam_gym.scenarios import get_scenario
@@ -40,7 +26,7 @@ def answered(seed: int, heading: float = 0.0):
     near = [int(np.argmin(np.hypot(*(prediction.positions - point).T))) for point in scan.points]
     sources = np.where(rng.random(6) < 0.7, near, SPURIOUS)
     truth = RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))
-    return scan, prediction, truth, decisions_of(scan, prediction, truth)
+    return scan, prediction, truth, associator.decisions_of(scan, prediction, truth)
 
 
 # -- what is right -----------------------------------------------------------------------------------------------------
@@ -49,7 +35,7 @@ def answered(seed: int, heading: float = 0.0):
 @pytest.mark.parametrize("seed", range(10))
 def test_without_odds_the_probabilities_are_the_marginals(seed):
     scan, prediction, truth, found = answered(seed)
-    p = probabilities(torch.zeros(len(found.inputs)), Batch.of([found])).numpy()[0, found.known]
+    p = associator.probabilities(torch.zeros(len(found.inputs)), associator.Batch.of([found])).numpy()[0, found.known]
     whole = weigh(scan, prediction, width=150, margin=16.0)[1]
     expected = [
         whole.unpaired[i] if truth.right[i] == UNPAIRED else whole.pairings[i, truth.right[i]]
@@ -62,35 +48,34 @@ def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     scan, prediction, _, _ = answered(3)
     far = int(np.argmax(np.hypot(*(prediction.positions - scan.points[0]).T)))
     sources = np.array([far, UNLABELLED, SPURIOUS, SPURIOUS, SPURIOUS, SPURIOUS])
-    found = decisions_of(scan, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8)))
+    truth = RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))
+    found = associator.decisions_of(scan, prediction, truth)
     assert found.known.tolist() == [False, False, True, True, True, True]
     assert not found.agreed[found.hypotheses != UNPAIRED].any()
-    elsewhere = dataclasses.replace(
-        scan, points=scan.points + 1e3
-    )  # compatible with nothing: there is nothing to learn
-    assert decisions_of(elsewhere, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))) is None
+    elsewhere = dataclasses.replace(scan, points=scan.points + 1e3)  # compatible with nothing: nothing to learn
+    assert associator.decisions_of(elsewhere, prediction, truth) is None
     nobody = RightAnswers.of(Truth(np.zeros(3), np.full(6, UNLABELLED)), np.arange(8))
-    assert decisions_of(scan, prediction, nobody) is None
+    assert associator.decisions_of(scan, prediction, nobody) is None
 
 
 # -- where scans come from ---------------------------------------------------------------------------------------------
 
 
 def test_no_world_is_both_trained_on_and_held_out():
-    train, held_out = sources(AssociatorPlan())
+    train, held_out = associator.sources(associator.AssociatorPlan())
     assert len(set(train)) == len(train)
     assert not {(s.name, s.world) for s in train} & {(s.name, s.world) for s in held_out}
-    assert {s.hidden for s in held_out} == set(HIDDEN)
-    assert {s.hidden for s in train} == {*HIDDEN, ("views",), ("views", "sizes")}
-    assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
-    assert len(AssociatorPlan().levels) == 35 and all(
+    assert {s.hidden for s in held_out} == set(associator.HIDDEN)
+    assert {s.hidden for s in train} == {*associator.HIDDEN, ("views",), ("views", "sizes")}
+    assert {s.kind for s in train} == set(associator.SHARES) and {s.kind for s in held_out} == {"level"}
+    assert len(associator.AssociatorPlan().levels) == 35 and all(
         get_scenario(s.name).name == s.name for s in train if s.kind == "drive"
     )
 
 
 def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
-    plain = list(Source("level", "closure/2", 0).scans(count=3))
-    kinds = list(Source("level", "closure/2", 0, hidden=("sizes", "not kinds")).scans(count=3))
+    plain = list(associator.Source("level", "closure/2", 0).scans(count=3))
+    kinds = list(associator.Source("level", "closure/2", 0, hidden=("sizes", "not kinds")).scans(count=3))
     assert len(plain) == len(kinds) == 3
     same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
     assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
@@ -102,12 +87,12 @@ def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
 
 def test_the_network_is_that_of_the_package():
     scans = [answered(seed)[3] for seed in range(4)]
-    network, batch = untrained(scans, hidden=6), Batch.of(scans)
+    network, batch = associator.untrained(scans, hidden=6), associator.Batch.of(scans)
     rng = np.random.default_rng(0)
     network = network._replace(**{name: rng.normal(size=part.shape) for name, part in network._asdict().items()
                                   if name not in ("centre", "scale")})  # fmt: skip
-    expected = odds_of(tensors(network), batch).numpy()
-    limited = odds_of(tensors(network), batch, most=16.0).numpy()
+    expected = associator.odds_of(associator.tensors(network), batch).numpy()
+    limited = associator.odds_of(associator.tensors(network), batch, most=16.0).numpy()
     assert np.abs(expected).max() > 16.0 >= np.abs(limited).max()
     shipped = network_of(network._asdict())
     found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy(), batch.slots.numpy())
@@ -116,11 +101,11 @@ def test_the_network_is_that_of_the_package():
 
 def test_training_starts_at_the_model_gets_better_and_is_the_same_for_one_seed():
     scans = [answered(seed)[3] for seed in range(30)]
-    held_out, model, batch = scans[:10], tensors(untrained(scans, 4)), Batch.of(scans)
-    assert torch.equal(odds_of(model, batch), torch.zeros(len(batch.inputs)))
-    plan = AssociatorPlan(hidden_numbers=4, epochs=60)
-    network, curve = trained(plan, scans, held_out, seed=0)
-    assert mean_loss(network, scans) < mean_loss(model, scans) - 0.02
-    assert mean_loss(network, held_out) == curve[-1] < curve[0] <= mean_loss(model, held_out)
-    again, other = (trained(plan, scans, held_out, seed=seed)[0] for seed in (0, 1))
+    held_out, model, batch = scans[:10], associator.tensors(associator.untrained(scans, 4)), associator.Batch.of(scans)
+    assert torch.equal(associator.odds_of(model, batch), torch.zeros(len(batch.inputs)))
+    plan = associator.AssociatorPlan(hidden_numbers=4, epochs=60)
+    network, curve = associator.trained(plan, scans, held_out, seed=0)
+    assert associator.mean_loss(network, scans) < associator.mean_loss(model, scans) - 0.02
+    assert associator.mean_loss(network, held_out) == curve[-1] < curve[0] <= associator.mean_loss(model, held_out)
+    again, other = (associator.trained(plan, scans, held_out, seed=seed)[0] for seed in (0, 1))
     assert all(map(torch.equal, network, again)) and not torch.equal(again.first, other.first)
