@@ -91,17 +91,18 @@ def sound(rows: pd.DataFrame) -> str:
 
 def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     """Mean paired differences NEW − OLD with their intervals, by scenario and associator, and over all scenarios."""
-    new, old = new.set_index(KEYS).align(old.set_index(KEYS), join="inner")  # older files have fewer measures
-    gaps = (new - old)[[name for name in MEASURES if name in old]]
-    gaps = gaps.assign(equal=((new == old) | (new.isna() & old.isna()))[gaps.columns].all(axis=1)).reset_index()
+    new, old = new.set_index(KEYS).align(old.set_index(KEYS), join="inner")
+    measures = [name for name in MEASURES if name in old]  # older files have fewer
+    equal = ((new == old) | (new.isna() & old.isna()))[measures].all(axis=1)
+    gaps = (new - old)[measures].assign(equal=equal).reset_index()
 
     def summary(group: pd.DataFrame) -> pd.Series:
-        known = {name: group[name].dropna() for name in gaps.columns[3:-1]}  # not of drives without a batch solution
-        means = {name: mean_interval(known[name].to_numpy(float), np.random.default_rng(0), "+") for name in known}
-        return pd.Series({"worlds": len(group), **means, "equal": group["equal"].sum()})
+        known = [group[name].dropna().to_numpy(float) for name in measures]  # without drives without a batch solution
+        means = [mean_interval(values, np.random.default_rng(0), "+") for values in known]
+        return pd.Series({"worlds": len(group)} | dict(zip(measures, means)) | {"equal": group["equal"].sum()})
 
-    both = pd.concat([gaps, gaps.assign(scenario="all")])
-    return both.groupby(["associator", "scenario"], sort=False).apply(summary).reset_index()
+    groups = pd.concat([gaps, gaps.assign(scenario="all")]).groupby(["associator", "scenario"], sort=False)
+    return groups.apply(summary).reset_index()
 
 
 if __name__ == "__main__":
