@@ -45,12 +45,9 @@ def relocate(search: Relocator, area: SurveyedField, drawn: FieldScan, locality:
     true, right = drawn.truth != UNPAIRED, False
     if true.sum() >= 2 and np.isfinite(answer.pose).all():
         right = is_right(answer.pose, locate(drawn.scan, area.landmarks, drawn.truth).pose, *NEAR)
-    right_pairings = int((true & (answer.features == drawn.truth)).sum())
+    found = int((true & (answer.features == drawn.truth)).sum())
     record |= {"inside": bool(np.isfinite(drawn.pose).all()), "right": right}
-    return record | {
-        "pairings found": right_pairings / max(int(true.sum()), 1),
-        "all found": right_pairings == true.sum(),
-    }
+    return record | {"pairings found": found / max(int(true.sum()), 1), "all found": found == true.sum()}
 
 
 def sweep(

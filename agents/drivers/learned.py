@@ -23,16 +23,13 @@ VERSION = 3  # of the tokens; weights for another version raise an error
 
 _REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal over which the image is averaged
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
-OWN = (
+TOKEN_FIELDS = (
     "is look around", "is frontier", "distance", "cosine of the bearing", "path", "area", "log rate",
     "beyond the image", "fraction of the time left", *_AROUND,
-)  # fmt: skip
-COMMON = (
     "budget", "log ticks left", "ticks used", "frontiers", "area in all", "free in all", "wall in all",
     "features in all", "features per free",
 )  # fmt: skip
-TOKEN_FIELDS = (*OWN, *COMMON)
-"""Columns of a token: those of its goal, and those that all goals of an observation share."""
+"""Columns of a token: those of its goal, and from `budget` on those that all goals of an observation share."""
 
 GAP = 5.0  # [m] the unit of distances between goals
 CHOICES = 4  # goals that are compared at a decision, those of the highest rates; the others are rarely better
@@ -57,21 +54,18 @@ def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[
     places = np.column_stack([goals["x"], goals["y"]])
     budget, greedy = float(observation["budget"][0]), np.log10(rates(goals) + 1e-3)
     left = min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
-    own = np.zeros((len(places), len(OWN)))
-    own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
     distances = np.hypot(*places.T)
-    own[:, 2], own[:, 3] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
-    own[:, 4], own[:, 5] = goals["path"] / 10.0, goals["area"] / 50.0
-    own[:, 6] = greedy
-    own[:, 7] = np.abs(places).max(axis=1) > 0.5 * METRES
-    own[:, 8] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
-    own[:, 9:] = _around(observation["image"], places)
     free, wall, features = observation["image"].reshape(3, -1).mean(axis=1) / 255.0
-    common = np.array([
+    common = [
         budget, math.log10(left + 1.0) - 2.0, used / 500.0, goals["frontier"].sum() / 10.0, goals["area"].sum() / 500.0,
         free, wall, 10.0 * features, features / (free + 0.02),
+    ]  # fmt: skip
+    fields = np.column_stack([
+        np.arange(len(places)) == LOOK_AROUND, goals["frontier"], distances / 10.0,
+        places[:, 0] / np.maximum(distances, 0.1), goals["path"] / 10.0, goals["area"] / 50.0, greedy,
+        np.abs(places).max(axis=1) > 0.5 * METRES, np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0)),
+        _around(observation["image"], places), np.tile(common, (len(places), 1)),
     ])  # fmt: skip
-    fields = np.concatenate([own, np.tile(common, (len(own), 1))], axis=1)
     rows = np.argsort(-np.where(legal, greedy, -np.inf), kind="stable")[:CHOICES]
     gaps = np.minimum(np.hypot(*(places[rows, None] - places[rows]).transpose(2, 0, 1)) / GAP, 4.0)
     return rows, Tokens(np.clip(fields[rows], -4.0, 4.0), gaps, greedy[rows], legal[rows])
@@ -138,13 +132,11 @@ def scores(arrays: Arrays, tokens: Tokens, xp: Any = np) -> Any:
 
 def _block(arrays: Arrays, name: str, x: Any, tokens: Tokens, xp: Any) -> Any:
     """A transformer block: attention to all legal goals, biased by distance, and a feed-forward layer."""
-    nearness = arrays[f"{name}.nearness"][..., :, None, None]
     qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
     qkv = qkv.reshape(*x.shape[:-1], 3, HEADS, WIDTH // HEADS)
     q, k, v = (qkv[..., part, :, :] for part in range(3))  # each (…, goals, heads, width / heads)
-    logits = (
-        xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS) - nearness * tokens.gaps[..., None, :, :]
-    )
+    products = xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS)
+    logits = products - arrays[f"{name}.nearness"][..., :, None, None] * tokens.gaps[..., None, :, :]
     logits = xp.where(tokens.legal[..., None, None, :], logits, -1e9)
     attention = xp.exp(logits - xp.amax(logits, axis=-1, keepdims=True))
     attention = attention / attention.sum(axis=-1, keepdims=True)
