@@ -1,4 +1,4 @@
-"""Shared code of the benchmarks: options, tables, timing, a drive in lanes, and judged relocations."""
+"""Shared code of the benchmarks: options, tables, recordings, timing, a drive in lanes, and judged relocations."""
 
 import argparse
 import math
@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from slam_gym import Landmarks, Locality, Scan
 from slam_gym.metrics.statistics import bootstrap_interval, mean
+from slam_gym.recordings import DATA, Recording, open_recordings
 from slam_gym.types import Array, Relocation, Relocator
 
 Record = dict[str, Any]
@@ -44,12 +45,12 @@ def table(title: str, rows: Sequence[Record] | pd.DataFrame) -> None:
     print(f"\n{title}\n{text}", flush=True)
 
 
-def data_folder() -> Path | None:
-    """The folder of the recordings (SLAM_GYM_DATA). If it is not set, prints so and returns None."""
-    if not os.environ.get("SLAM_GYM_DATA"):
-        print("left out: no recordings (SLAM_GYM_DATA)")
+def published(name: str) -> Recording | None:
+    """A published recording. If SLAM_GYM_DATA, the folder of the recordings, is not set, prints so and returns None."""
+    if not os.environ.get(DATA):
+        print(f"left out: no recordings ({DATA})")
         return None
-    return Path(os.environ["SLAM_GYM_DATA"])
+    return open_recordings(name)[0]
 
 
 def timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:

@@ -12,18 +12,17 @@ that in the map joined at the checkpoint. A loop counts as closed if the final m
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from benchmarks.common import Record, data_folder, options, proportion, table, timed
+from benchmarks.common import Record, options, proportion, published, table, timed
 from benchmarks.recordings import reference
 from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.metrics.consistency import pose_nees
-from slam_gym.recordings.victoria_park import victoria_park
+from slam_gym.recordings import Recording
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.surveyed_field import features_in_view
@@ -93,9 +92,8 @@ def walls(spec: LoopSpec, rng: np.random.Generator) -> Array:
     return np.array(features)
 
 
-def park(folder: Path, steps: int | None = None) -> DrivenLog:
-    """Victoria Park, or its first steps, with the least-squares optimum as the truth."""
-    log = victoria_park(folder).part(0, steps)
+def park(log: Recording) -> DrivenLog:
+    """Victoria Park, or a part of it, with the least-squares optimum as the truth."""
     poses = reference(log).poses
     driven = [(odometry, scan, Truth(pose, seen)) for (odometry, scan, seen), pose in zip(log.steps(), poses)]
     return DrivenLog("park", driven, slam_for(log), 60, 60)
@@ -139,9 +137,9 @@ if __name__ == "__main__":
     seeds = 1 if a.quick else a.seeds
     specs = (LoopSpec(side=10),) if a.quick else (LoopSpec(0.5), LoopSpec(), LoopSpec(5.0), LoopSpec(spacing=8.0))
     logs = [loop(seed, spec) for spec in specs for seed in range(seeds)]
-    folder = data_folder()
-    if folder is not None:
-        logs.append(park(folder / "victoria_park", 300 if a.quick else None))
+    recorded = published("victoria_park")
+    if recorded is not None:
+        logs.append(park(recorded.part(0, 300 if a.quick else None)))
     runs = [(log, method, name) for log in logs for name in ("jcbb", "true_association") for method in METHODS]
     results = pd.DataFrame(estimate(*run) for run in runs if run[1:] != ("local maps", "true_association"))
     groups = results.groupby(["world", "associator", "method"], sort=False)

@@ -16,6 +16,7 @@ A drive and associator take ten to forty seconds for floors of 200 m, whose driv
 the CSV already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,9 @@ import numpy as np
 import pandas as pd
 
 from agents.demo import mapped, one_drive
-from benchmarks.common import Record, data_folder, mean_interval, options, table
+from benchmarks.common import Record, mean_interval, options, table
 from benchmarks.drift_reference import batch_errors, sound
+from slam_gym.recordings import DATA
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.quality import quality
@@ -41,8 +43,8 @@ SUMMARY = ["map_error_aligned", "map_error", "batch_aligned", "batch", "duplicat
 
 def file_of(floor: str) -> str:
     """The path of a floor plan that is given by its path or by its name among the recordings."""
-    folder = None if Path(floor).exists() else data_folder()
-    return floor if folder is None else str(folder / "kth_floorplans" / f"{floor}{SUFFIX}")
+    named = Path(os.environ.get(DATA, ""), "kth_floorplans", f"{floor}{SUFFIX}")
+    return floor if Path(floor).exists() else str(named)
 
 
 def replayed(arguments: dict[str, Any], seed: int, speeds: Array, associator: str) -> Record:

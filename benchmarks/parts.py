@@ -15,9 +15,8 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation.mapped_log import MappedLog, associations, map_log, smoothed
-from benchmarks.common import data_folder, options, table
+from benchmarks.common import options, published, table
 from slam_gym.geometry import relative
-from slam_gym.recordings.dlr import dlr
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
@@ -55,10 +54,9 @@ def logs(whole: Recording, seed: int, count: int) -> Iterator[tuple[str, str, Re
 
 if __name__ == "__main__":
     a = options(__doc__, associators=("jcbb", "marginal"), simulated=16, out="")
-    folder = data_folder()
-    if folder is None:
+    whole = published("dlr")
+    if whole is None:
         raise SystemExit
-    whole = dlr(folder / "dlr")
     rows = []
     for kind, name, log in [("part", "0 to 60", whole.part(0, 60))] if a.quick else logs(whole, a.seed, a.simulated):
         for associator in a.associators:

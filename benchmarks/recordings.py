@@ -18,20 +18,18 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from agents.evaluation.mapped_log import MappedLog, map_log
-from benchmarks.common import attempt, count_answers, data_folder, options, table
+from benchmarks.common import attempt, count_answers, options, published, table
 from slam_gym import Landmarks, Locality, Scan, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.kidnapping import is_right
@@ -51,10 +49,9 @@ def reference(log: Recording) -> Smoothed:
     return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
 
 
-def park(folder: Path, scans: int, steps: int | None) -> tuple[Landmarks, dict[str, Locality | None], list[PlacedScan]]:
-    """The map of the first half of Victoria Park, or of its first `steps`, its localities by name, and scans of the
-    second half to relocate in it: up to `scans` inside, as many outside."""
-    log = victoria_park(folder).part(0, steps)
+def park(log: Recording, scans: int) -> tuple[Landmarks, dict[str, Locality | None], list[PlacedScan]]:
+    """The map of the first half of a log, its localities by name, and scans of the second half to relocate in it: up to
+    `scans` inside, as many outside."""
     optimum, half = reference(log), len(log) // 2
     mapped = map_log(log.part(0, half), "jcbb", slam_for(log))
     slam = mapped.slam
@@ -121,11 +118,11 @@ def attempts(
 
 if __name__ == "__main__":
     a = options(__doc__, scans=120)
-    folder = data_folder()
-    if folder is None:
+    log = published("victoria_park")
+    if log is None:
         raise SystemExit
     scans, limit, steps = (3, 2000, 1200) if a.quick else (a.scans, 20_000, None)
-    results = attempts(*park(folder / "victoria_park", scans, steps), limit)
+    results = attempts(*park(log.part(0, steps), scans), limit)
     rows, keys = [], ["sizes", "search"]
     for key, group in results[results["locality"] == "covisibility"].groupby(keys, sort=False):
         rows += [dict(zip(keys, key)) | count_answers(group, least) for least in (None, *range(3, 10))]
