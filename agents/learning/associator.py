@@ -32,13 +32,13 @@ from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.marginal import examples
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, VERSION, Network, load_network
 from slam_gym.recordings import open_recordings
-from slam_gym.scenarios import get_scenario, slam_for, world_generator, world_seed
+from slam_gym.scenarios import get_scenario, overridden, slam_for, world_generator, world_seed
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, DrivenRun, LoggedRun, ScanLog
 from slam_gym.simulation.episode import survey
 from slam_gym.simulation.judged import RightAnswers
 from slam_gym.simulation.recorded_logs import reference_poses
-from slam_gym.types import UNLABELLED, UNPAIRED, BoolArray, IntArray, Scan, Truth
+from slam_gym.types import UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Scan, Truth
 from slam_gym.weights import Card, Weights
 
 WIDTH, MARGIN = 150, 16.0  # of the search; wider than in use, since the network is not trained yet
@@ -150,8 +150,7 @@ class Source:
 
     def _problems(self, count: int) -> Iterator[Decisions]:
         level = get_level(self.name)
-        sensor = replace(level.scenario.sensor, kinds="not kinds" in self.hidden)
-        level = replace(level, scenario=replace(level.scenario, sensor=sensor))
+        level = replace(level, scenario=overridden(level.scenario, {"sensor.kinds": "not kinds" in self.hidden}))
         for problem in problems(level, self.world, count, "train"):
             decisions = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)
             if decisions is not None:
@@ -297,17 +296,14 @@ def untrained(scans: Sequence[Decisions], hidden: int, seed: int = 0) -> Network
     """A network whose log odds are 0, as without a network. Inputs are scaled by their mean and deviation."""
     inputs = np.concatenate([d.inputs for d in scans]).astype(np.float64)
     deviation, n, rng = inputs.std(axis=0), inputs.shape[1], np.random.default_rng(seed)
-    return Network(
-        inputs.mean(axis=0),
-        np.where(deviation > 1e-3, deviation, 1.0),
-        np.zeros(n),
-        np.zeros(1),
-        rng.uniform(-1.0, 1.0, (hidden, n)) / n**0.5,
-        rng.uniform(-1.0, 1.0, hidden) / n**0.5,
-        rng.uniform(-1.0, 1.0, (hidden, 3 * hidden)) / (3 * hidden) ** 0.5,
-        rng.uniform(-1.0, 1.0, hidden) / (3 * hidden) ** 0.5,
-        np.zeros(hidden),
-    )
+    scale = np.where(deviation > 1e-3, deviation, 1.0)
+
+    def layer(width: int) -> list[Array]:
+        """Weights (hidden, width) and offsets (hidden,)."""
+        return [rng.uniform(-1.0, 1.0, shape) / width**0.5 for shape in ((hidden, width), hidden)]
+
+    layers = *layer(n), *layer(3 * hidden), np.zeros(hidden)
+    return Network(inputs.mean(axis=0), scale, np.zeros(n), np.zeros(1), *layers)
 
 
 def tensors(network: Network) -> Network:
