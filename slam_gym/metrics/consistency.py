@@ -40,6 +40,7 @@ def nees(error: Array, covariance: Array) -> float:
     return total
 
 
+@compiled
 def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
     """NEES of a pose (3,) with covariance (3, 3) and true pose (3,); the error of the heading is wrapped."""
     error = pose - true
@@ -53,9 +54,7 @@ def error_of_pose(x: Array, P: Array, base: Array, true: Array) -> float:
 
     `base` (3,) is the base of the map in W, `true` (3,) the true pose of the robot in W.
     """
-    error = x[:3] - relative(base, true)
-    error[2] = wrap_angle(error[2])
-    return nees(error, P[:3, :3].copy())
+    return pose_nees(x[:3], P[:3, :3].copy(), relative(base, true))
 
 
 def anees(values: Array, dof: int) -> float:
