@@ -7,7 +7,6 @@ dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder 
 
 import io
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,30 +28,17 @@ _MISREAD = 1.0  # [m] from the position by Vicon, above which a barcode was misr
 _TOGETHER = 0.05  # [s] greatest time between consecutive measurements of one scan
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
-
-@dataclass(frozen=True)
-class MrclamNoise:
-    """A noise model, which the log does not contain; it was chosen on all robots of set 6.
-
-    The odometry is the commanded motion, which the robots carry out with a delay, and not fully. Variances of the
-    motion add up with time. The σ of a barcode grows with its range, and is 1.5 times that of the errors by Vicon,
-    because a barcode seen for a long time has the same error all the time.
-    """
-
-    delay: float = 0.2  # [s] from a command in the odometry to its execution
-    forward_scale: float = 0.93  # fraction of the commanded speed that is driven
-    turn_scale: float = 0.85  # fraction of the commanded turning speed that is turned
-    forward: float = 0.12  # [m/√s] at 1 m/s
-    lateral: float = 0.02  # [m/√s] at 1 m/s
-    turn: float = 0.15  # [rad/√s] at 1 rad/s
-    drift: float = 0.004  # [m/√s] in addition, at any speed
-    turn_drift: float = 0.025  # [rad/√s] in addition, at any speed
-    range: float = 0.15  # [m]
-    range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
-    bearing: float = 0.03  # [rad]
-
-
-NOISE = MrclamNoise()
+# The log contains no noise model; this one was chosen on all robots of set 6. The odometry is the commanded motion,
+# which the robots carry out with a delay, and not fully. Variances of the motion add up with time. The σ of a barcode
+# grows with its range, and is 1.5 times that of the errors by Vicon, because a barcode seen for a long time has the
+# same error all the time.
+_DELAY = 0.2  # [s] from a command in the odometry to its execution
+_FORWARD_SCALE, _TURN_SCALE = 0.93, 0.85  # fractions of the commanded speed and turning speed that are carried out
+_FORWARD_SIGMA, _LATERAL_SIGMA = 0.12, 0.02  # [m/√s] at 1 m/s
+_TURN_SIGMA = 0.15  # [rad/√s] at 1 rad/s
+_DRIFT, _TURN_DRIFT = 0.004, 0.025  # [m/√s], [rad/√s] in addition, at any speed
+_RANGE_SIGMA, _RANGE_SIGMA_PER_METRE = 0.15, 0.05  # [m], and [m/m] of the range, added in quadrature
+_BEARING_SIGMA = 0.03  # [rad]
 
 
 def mrclam(folder: str | Path, robot: int) -> Recording:
@@ -77,8 +63,8 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
         first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
         times = measured[first, 0]
         motions, motion_covariances = _driven(times, odometry)
-        range_sigmas = np.hypot(NOISE.range, NOISE.range_per_metre * measured[:, 2])
-        seen = Scan.from_polar(measured[:, 2], measured[:, 3], range_sigmas, NOISE.bearing)
+        range_sigmas = np.hypot(_RANGE_SIGMA, _RANGE_SIGMA_PER_METRE * measured[:, 2])
+        seen = Scan.from_polar(measured[:, 2], measured[:, 3], range_sigmas, _BEARING_SIGMA)
         poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
         return Recording(
             name=f"mrclam/{folder.name}/robot{robot}",
@@ -140,9 +126,9 @@ def _driven(times: Array, odometry: Array) -> tuple[Array, Array]:
 
     An early error of the heading becomes a lateral error later: C = Σ F Q Fᵀ over the spans, F = ∂u/∂du.
     """
-    spans = Spans.between(times, odometry[:, 0] + NOISE.delay)
+    spans = Spans.between(times, odometry[:, 0] + _DELAY)
     v, w = np.where(spans.command >= 0, odometry[spans.command, 1:].T, 0.0)
-    v, w, dt = NOISE.forward_scale * v, NOISE.turn_scale * w, spans.seconds
+    v, w, dt = _FORWARD_SCALE * v, _TURN_SCALE * w, spans.seconds
     heading = spans.headings(dt * w) + 0.5 * dt * w
     c, s = np.cos(heading), np.sin(heading)
     moved = dt * np.array([v * c, v * s, w])
@@ -150,9 +136,9 @@ def _driven(times: Array, odometry: Array) -> tuple[Array, Array]:
     cumulative = np.cumsum(moved[:2], axis=1)  # from the start of the log, used for the remainder of each step
     last = np.searchsorted(spans.step, spans.step, side="right") - 1
     x_left, y_left = cumulative[:, last] - cumulative
-    along = dt * ((NOISE.forward * v) ** 2 + NOISE.drift**2)
-    across = dt * ((NOISE.lateral * v) ** 2 + NOISE.drift**2)
-    turned = dt * ((NOISE.turn * w) ** 2 + NOISE.turn_drift**2)
+    along = dt * ((_FORWARD_SIGMA * v) ** 2 + _DRIFT**2)
+    across = dt * ((_LATERAL_SIGMA * v) ** 2 + _DRIFT**2)
+    turned = dt * ((_TURN_SIGMA * w) ** 2 + _TURN_DRIFT**2)
     xx = c * c * along + s * s * across + y_left**2 * turned
     xy = c * s * (along - across) - x_left * y_left * turned
     yy = s * s * along + c * c * across + x_left**2 * turned

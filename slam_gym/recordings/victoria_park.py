@@ -10,7 +10,6 @@ The reader needs in one folder: `aa3_dr.mat` (odometry), `VictoriaParkSinSincron
 
 import io
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +32,12 @@ _FASTEST, _SHARPEST = 100.0, 1.2  # [m/s], [rad] limits; at 1.31 rad of steering
 _LONGEST, _FARTHEST = 1e7, 1e5  # [s] greatest duration; [m] greatest distance of a detection
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
-
-@dataclass(frozen=True)
-class VictoriaParkNoise:
-    """A noise model, which the log does not contain. Variances of the motion add up with time, while it moves."""
-
-    speed: float = 0.3  # [m/√s] along the path
-    lateral: float = 0.1  # [m/√s] across the path
-    turn: float = math.radians(2.0)  # [rad/√s]
-    range: float = 0.3  # [m] includes the difference between views of a trunk from different sides
-    bearing: float = math.radians(1.0)  # [rad]
-    size: float = 0.05  # [m] of a trunk's diameter
-    size_per_metre: float = 0.005  # [m/m] of the range, added in quadrature
-
-
-NOISE = VictoriaParkNoise()
+# The log contains no noise model. Variances of the motion add up with time, while the vehicle moves.
+_SPEED_SIGMA, _LATERAL_SIGMA = 0.3, 0.1  # [m/√s] along and across the path
+_TURN_SIGMA = math.radians(2.0)  # [rad/√s]
+_RANGE_SIGMA = 0.3  # [m] includes the difference between views of a trunk from different sides
+_BEARING_SIGMA = math.radians(1.0)  # [rad]
+_SIZE_SIGMA, _SIZE_SIGMA_PER_METRE = 0.05, 0.005  # [m] of a trunk's diameter; [m/m] of the range, added in quadrature
 
 
 def victoria_park(folder: str | Path) -> Recording:
@@ -66,7 +56,7 @@ def victoria_park(folder: str | Path) -> Recording:
         sources = _identities(folder, scans, starts, polar)
         motions, motion_covariances = _driven(scans, wheels)
         bearings = polar[:, 1] - 0.5 * math.pi  # the laser measures them from its right
-        seen = Scan.from_polar(polar[:, 0], bearings, NOISE.range, NOISE.bearing)
+        seen = Scan.from_polar(polar[:, 0], bearings, _RANGE_SIGMA, _BEARING_SIGMA)
         return Recording(
             name="victoria_park",
             source=SOURCE,
@@ -78,7 +68,7 @@ def victoria_park(folder: str | Path) -> Recording:
             points=seen.points,
             covariances=seen.covariances,
             sizes=polar[:, 2].copy(),
-            size_variances=NOISE.size**2 + (NOISE.size_per_metre * polar[:, 0]) ** 2,
+            size_variances=_SIZE_SIGMA**2 + (_SIZE_SIGMA_PER_METRE * polar[:, 0]) ** 2,
             sources=sources,
             reference_times=1e-3 * gps[:, 0],
             reference_poses=np.column_stack([gps[:, 1:], np.full(len(gps), np.nan)]),
@@ -142,7 +132,7 @@ def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Ar
     )
     motions = np.column_stack([spans.sums(part, len(scans)) for part in moved])
     moving = spans.sums(np.where(v != 0.0, dt, 0.0), len(scans))  # [s]
-    variances = np.square([NOISE.speed, NOISE.lateral, NOISE.turn]) * moving[:, None] + _AT_REST**2  # (T, 3)
+    variances = np.square([_SPEED_SIGMA, _LATERAL_SIGMA, _TURN_SIGMA]) * moving[:, None] + _AT_REST**2  # (T, 3)
     return motions, np.eye(3) * variances[:, :, None]
 
 
