@@ -90,7 +90,7 @@ def scenario(name: str) -> Any:
     episode = env.unwrapped.episode
     all_of_it = scene_of_episode(episode)
     view = fitting(episode.site.plan.bounds, (0, 0, *SMALL), margin=0.5)
-    canvas = Canvas(SMALL, *view, symbols.UNKNOWN_CELL)
+    canvas = Canvas(SMALL, *view, symbols.PAPER)
     shown = ("walls", "furniture", "people", "true_pose", "true_trail", "trail", "grid")
     draw_scene(canvas, Scene(**{name: getattr(all_of_it, name) for name in shown}))
     save(f"small_{name}", pixels(canvas.picture()), 32)

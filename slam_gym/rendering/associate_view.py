@@ -13,7 +13,7 @@ from slam_gym.rendering.canvas import Canvas, fitting
 from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, mark_size, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
-from slam_gym.simulation.judged import UNDECIDED, RightAnswers, decisions
+from slam_gym.simulation.judged import RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
 _ROOM = (60, 60, MAP[0] - 120, MAP[1] - 120)  # [pixels] left, bottom, width, height of robot and measurements
@@ -38,7 +38,7 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.5 * np.maximum(_MIN_EXTENT - (high - low), 0.0)
     view = fitting(np.concatenate([low - margin, high + margin]), _ROOM)
-    canvas = Canvas(MAP, *view, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
+    canvas = Canvas(MAP, *view, symbols.PAPER)
     draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
     centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
     picture.blit(canvas.picture(), (0, 0))
@@ -47,30 +47,25 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
 
 
 def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:
-    """The scene with the decisions on the scan so far."""
+    """The scene with the scan and the decisions on it so far. What is compatible with no feature stays unpaired."""
     tree, rows = walk.tree, walk.decided
-    codes = decisions(walk, answers)
-    decided = np.flatnonzero(codes != UNDECIDED)
-    paired = np.full((len(rows), 2), np.nan)
-    has_feature = rows != UNPAIRED
+    has_candidates = np.isin(np.arange(len(rows)), walk.candidates.measurements)
+    codes = np.where(has_candidates, decisions(walk, answers), Decision.DISCARDED)
+    paired, has_feature = np.full((len(rows), 2), np.nan), rows != UNPAIRED
     paired[has_feature] = transform(pose, tree.prediction.positions[rows[has_feature]])
-    points = transform(pose, tree.scan.points[decided])
-    return replace(scene, scan_points=points, decisions=codes[decided], paired_positions=paired[decided])
+    return replace(scene, scan_points=transform(pose, tree.scan.points), decisions=codes, paired_positions=paired)
 
 
 def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
-    """Draw the measurement to decide, undecided ones, and the gates of the candidates, whose centres are returned."""
-    tree, i, size = walk.tree, walk.measurement, mark_size(canvas)
-    rows = walk.rows
+    """Draw the measurement to decide, and the gates of the candidates, whose centres are returned."""
+    tree, i, rows = walk.tree, walk.measurement, walk.rows
     centres = transform(pose, tree.prediction.positions[rows])
     spread = tree.prediction.covariances[rows] + tree.scan.covariances[i]
-    later = transform(pose, tree.scan.points[walk.candidates.measurements[walk.level + 1 :]])
-    symbols.undecided(canvas, later, size)
     canvas.ellipses(centres, rotate_covariances(pose[2], spread), None, symbols.PLAN, 1.6)
     here = transform(pose, tree.scan.points[i : i + 1])[0]
     for centre in centres:
-        canvas.dashes(np.stack([here, centre]), symbols.PLAN, 1.6, 6.0)
-    symbols.choice(canvas, here, size)
+        canvas.dashes(np.stack([here, centre]), symbols.PLAN, 1.6)
+    symbols.choice(canvas, here, mark_size(canvas))
     return centres
 
 

@@ -28,10 +28,11 @@ Colour = tuple[int, int, int]
 
 SUPERSAMPLING = 2
 TEXT = 14  # [pixels] size of most text: at least 12 where a page shows a picture of 960 pixels on 830
-_BROAD = 1.5  # [pixels] narrower lines are antialiased one by one, broader ones only by supersampling
+_BROAD = 3  # [supersampled pixels] narrower lines are antialiased one by one, broader ones only by supersampling
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0, 2 * np.pi, 37))])[:, :-1]  # (2, 36)
 _FREE_SHARE = np.array([0.0, 1.0, 0.5])  # of unknown, free and wall cells: free space ends in the middle of walls
 _SMOOTHING = 0.7  # [cells] standard deviation of the filter of free space
+_SHARPNESS = 20.0  # of its border
 _SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
 
 
@@ -79,30 +80,25 @@ class Canvas:
                 pygame.draw.polygon(self.surface, line, shape, max(1, round(SUPERSAMPLING * width)))
 
     def segments(self, segments: Array, colour: Colour, width: float = 1.0) -> None:
-        """Draw straight lines (s, 4) [m] x1 y1 x2 y2; broad lines end squarely, half a width beyond their ends."""
-        ends = self._pixels(segments.reshape(-1, 2, 2))
-        if width < _BROAD:
-            for start, end in ends.tolist():
-                pygame.draw.aaline(self.surface, colour, start, end, max(1, round(SUPERSAMPLING * width)))
-            return
+        """Draw straight lines (s, 4) [m] x1 y1 x2 y2, which end half a width beyond their ends."""
+        ends, thickness = self._pixels(segments.reshape(-1, 2, 2)), math.ceil(SUPERSAMPLING * width)
         along = ends[:, 1] - ends[:, 0]
-        along *= (0.5 * SUPERSAMPLING * width) / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        a, b = ends[:, 0] - along, ends[:, 1] + along
-        for quad in np.stack([a - across, b - across, b + across, a + across], axis=1).tolist():
-            pygame.draw.polygon(self.surface, colour, quad)
+        along *= 0.5 * thickness / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+        draw = pygame.draw.aaline if thickness < _BROAD else pygame.draw.line
+        for start, end in np.stack([ends[:, 0] - along, ends[:, 1] + along], axis=1).tolist():
+            draw(self.surface, colour, start, end, thickness)
 
     def polyline(self, points: Array, colour: Colour, width: float = 1.0) -> None:
         """Draw a line through points (k, 2) [m], with gaps at points that are NaN."""
         pieces = np.concatenate([points[:-1], points[1:]], axis=1)
         self.segments(pieces[np.isfinite(pieces).all(axis=1)], colour, width)
 
-    def dashes(self, points: Array, colour: Colour, width: float = 1.0, period: float = 9.0) -> None:
-        """Draw a dashed line through points (k, 2) [m], one dash per `period` [pixels], but at most 2 000."""
+    def dashes(self, points: Array, colour: Colour, width: float = 1.0) -> None:
+        """Draw a dashed line through points (k, 2) [m], one dash per four widths, but at most 2 000."""
         if len(points) < 2:
             return
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        step = max(period / self.scale, along[-1] / 2000)
+        step = max(4.0 * width / self.scale, along[-1] / 2000)
         start = np.arange(0.0, along[-1], step)
         end = np.minimum(start + 0.55 * step, along[-1])
         ends = [np.interp(lengths, along, points[:, axis]) for lengths in (start, end) for axis in (0, 1)]
@@ -138,27 +134,18 @@ class Canvas:
         `pose` (3,) is the pose of the grid's lower left corner. The grid may be turned against the pixels, where the
         sides of cells would look like saw teeth: free space has a smooth border instead, and walls are lines.
         """
-        top = self.size[1] - 0.5
-        corner = self._low + np.array([[0.5, top], [2.5, top], [0.5, top - 2.0]]) / self.scale  # three pixels [m]
-        first, right, below = observe(pose, corner)[:, ::-1] / resolution - 0.5  # their row and column in the grid
-        share, axes = gaussian_filter(_FREE_SHARE[codes], _SMOOTHING), np.stack([right - first, below - first], axis=1)
         width, height = self.size
-        share = affine_transform(share, axes, first, (width // 2 + 1, height // 2 + 1), np.float32, order=1)
-        is_free = _doubled(share)[:width, :height] > 0.5  # every second pixel in each direction is interpolated
-        is_free = is_free.repeat(SUPERSAMPLING, 0).repeat(SUPERSAMPLING, 1)
-        pygame.surfarray.pixels2d(self.surface)[is_free] = self.surface.map_rgb(free)
-
+        squares = np.array([[1, height - 1], [3, height - 1], [1, height - 3]])  # centres of three, of 2 × 2 pixels
+        first, right, below = observe(pose, self._low + squares / self.scale)[:, ::-1] / resolution - 0.5  # row, column
+        share, axes = gaussian_filter(_FREE_SHARE[codes], _SMOOTHING), np.stack([right - first, below - first], axis=1)
+        share = affine_transform(share, axes, first, (width // 2 + 1, height // 2 + 1), order=1)
+        space = pygame.Surface(share.shape, pygame.SRCALPHA)
+        space.fill(free)
+        pygame.surfarray.pixels_alpha(space)[:] = 255 * np.clip(_SHARPNESS * (share - 0.5) + 0.5, 0.0, 1.0)
+        self.surface.blit(pygame.transform.smoothscale_by(space, 2 * SUPERSAMPLING), (0, 0))
         (points, lines), broad = wall_lines(codes, pose, resolution), WIDTH * resolution * self.scale
         self.segments(lines, wall, broad)
         self.discs(points, 0.5 * broad, wall)
-
-
-def _doubled(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(2h − 1, 2w − 1) numbers (h, w) with the means of neighbours between them."""
-    for _ in range(2):
-        values = values.repeat(2, axis=0)[:-1].T
-        values[:, 1::2] = 0.5 * (values[:, :-1:2] + values[:, 2::2])
-    return values
 
 
 @functools.lru_cache(maxsize=16)
@@ -176,8 +163,7 @@ def text(words: str, size: int, colour: Colour, bold: bool = False) -> Any:
 
 def pixels(picture: Any) -> NDArray[np.uint8]:
     """The pixels of a surface as a new array (h, w, 3)."""
-    width, height = picture.get_size()
-    return np.frombuffer(pygame.image.tobytes(picture, "RGB"), np.uint8).reshape(height, width, 3).copy()
+    return np.ascontiguousarray(pygame.surfarray.array3d(picture).swapaxes(0, 1))
 
 
 class Window:
@@ -193,8 +179,9 @@ class Window:
             pygame.display.init()
             self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE)
             pygame.display.set_caption(self.title)
-        size = self._window.get_size()
-        self._window.blit(picture if size == picture.get_size() else _fitted(picture, size), (0, 0))
+        place = picture.get_rect().fit(self._window.get_rect())  # with its proportions, in the middle
+        self._window.fill((0, 0, 0))
+        self._window.blit(pygame.transform.smoothscale(picture, place.size), place)
         pygame.event.pump()
         pygame.display.flip()
         self._clock.tick(self.fps)
@@ -209,13 +196,3 @@ class Window:
         if self._window is not None:
             pygame.display.quit()
             self._window = None
-
-
-def _fitted(picture: Any, size: tuple[int, int]) -> Any:
-    """The picture scaled to fit into `size` [pixels] with its proportions, on a black background."""
-    width, height = picture.get_size()
-    scale = min(size[0] / width, size[1] / height)
-    scaled = pygame.transform.smoothscale(picture, (max(1, round(width * scale)), max(1, round(height * scale))))
-    background = pygame.Surface(size, depth=32)
-    background.blit(scaled, ((size[0] - scaled.get_width()) // 2, (size[1] - scaled.get_height()) // 2))
-    return background

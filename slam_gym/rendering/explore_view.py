@@ -48,7 +48,7 @@ def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()
     layout = arrange(bounds, len(shown), shown_in(scene))
     picture = pygame.Surface(SIZE, depth=32)
     picture.fill(symbols.PAPER)
-    canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.UNKNOWN_CELL)
+    canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.PAPER)
     draw_scene(canvas, scene)
     picture.blit(canvas.picture(), (0, 0))
     _scale_bar(picture, layout)
@@ -124,12 +124,10 @@ def _whereabouts(episode: Episode) -> Figures:
     if episode.scenario.kidnapping is None and episode.slam.tracker is None:
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"at {kidnapping.happened}"),)
-    if episode.slam.lost:
-        return (*rows, ("robot", "is lost"))
-    if episode.slam.doubted:
-        return (*rows, ("robot", "in doubt"))
-    if episode.slam.missed_loop:
-        return (*rows, ("robot", "missed a loop"))
+    states = {"is lost": episode.slam.lost, "in doubt": episode.slam.doubted, "missed a loop": episode.slam.missed_loop}
+    for state, holds in states.items():
+        if holds:
+            return (*rows, ("robot", state))
     if kidnapping.recovered is not None:
         return (*rows, ("found back", f"at {kidnapping.recovered}"))
     return (*rows, ("robot", "tracks"))

@@ -49,7 +49,7 @@ def figures(picture: Any, shown: Figures, corner: tuple[int, int], width: int, c
         x, y = corner[0] + (k // rows) * (width + _GAP) // columns, corner[1] + (k % rows) * _FIGURE
         label = text(value, TEXT, symbols.INK, bold=True)
         picture.blit(text(name, TEXT, symbols.MUTED), (x, y))
-        picture.blit(label, (x + (width + _GAP) // columns - _GAP - label.get_width(), y))
+        picture.blit(label, label.get_rect(topright=(x + (width + _GAP) // columns - _GAP, y)))
 
 
 def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
@@ -86,7 +86,10 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
         picture.blit(text(heading, TEXT, symbols.MUTED if k else symbols.INK, bold=k == 0), (left + offset, top))
     for row, choice in enumerate(choices, start=1):
         y = top + row * ROW
-        _action(picture, (left + 10, y + 8), choice)
+        centre = (left + 10, y + 8)
+        if choice.right:
+            pygame.draw.aacircle(picture, symbols.TRUTH, centre, _BADGE + 3, 2)
+        badge(picture, centre, choice.action)
         for (offset, _), cell in zip(columns[1:], choice.cells):
             words, fraction = (cell, None) if isinstance(cell, str) else cell
             picture.blit(text(words, TEXT, symbols.INK), (left + offset, y))
@@ -109,26 +112,20 @@ def badges(picture: Any, points: Sequence[Point]) -> None:
         badge(picture, centre, str(action))
 
 
-def badge(picture: Any, centre: Point, words: str) -> None:
+def badge(picture: Any, centre: Point, action: str) -> None:
     """Draw the name of an action on a disc."""
     pygame.draw.aacircle(picture, symbols.PLAN, centre, _BADGE)
-    label = text(words, TEXT, symbols.PAPER, bold=True)
-    picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2)))
+    if action == "*":
+        star(picture, centre, symbols.PAPER)
+    else:
+        label = text(action, TEXT, symbols.PAPER, bold=True)
+        picture.blit(label, label.get_rect(center=centre))
 
 
 def star(picture: Any, centre: Point, colour: Colour) -> None:
     """Draw `*` in the middle of a node; it is moved down, since it stands high in its line of text."""
     label = text("*", 17, colour, bold=True)
-    picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2 + 3)))
-
-
-def _action(picture: Any, centre: Point, choice: ActionRow) -> None:
-    if choice.right:
-        pygame.draw.aacircle(picture, symbols.TRUTH, centre, _BADGE + 3)
-        pygame.draw.aacircle(picture, symbols.PAPER, centre, _BADGE + 1)
-    badge(picture, centre, "" if choice.action == "*" else choice.action)
-    if choice.action == "*":
-        star(picture, centre, symbols.PAPER)
+    picture.blit(label, label.get_rect(center=(centre[0], centre[1] + 3)))
 
 
 class TreeLevel(NamedTuple):
@@ -174,7 +171,9 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
     bottom = key(picture, (x, top, room, height), shown.key)
     if shown.remarks:
         tree_bottom = bottom - (len(shown.remarks) + 1) * ROW
-        _remarks(picture, (x, tree_bottom), room, shown.remarks)
+        pygame.draw.line(picture, symbols.LINE, (x, tree_bottom - 6), (x + room, tree_bottom - 6))
+        for row, line in enumerate(shown.remarks):
+            picture.blit(text(line, TEXT, symbols.INK, bold=row == 0), (x, tree_bottom + row * ROW))
     else:
         choices, note = _fitting(shown, (bottom - tree_top - _MIN_TREE - 30) // ROW - 2)
         tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
@@ -189,13 +188,6 @@ def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[ActionRow], str]:
     if left_out <= 0:
         return shown.choices, shown.note
     return [*shown.choices[: room - 1], shown.choices[-1]], shown.note or f"and {left_out} more"
-
-
-def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[str]) -> None:
-    left, top = corner
-    pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
-    for row, line in enumerate(lines):
-        picture.blit(text(line, TEXT, symbols.INK, bold=row == 0), (left, top + row * ROW))
 
 
 def draw_levels(picture: Any, box: Box, levels: Sequence[TreeLevel], current: int) -> None:
@@ -216,7 +208,7 @@ def draw_levels(picture: Any, box: Box, levels: Sequence[TreeLevel], current: in
     for count, y, words in ((view.first, top - 16, "earlier"), (len(levels) - view.last, top + height, "more")):
         if count:
             label = text(f"{count} {words}", TEXT, symbols.MUTED)
-            picture.blit(label, (left + width - label.get_width(), y))
+            picture.blit(label, label.get_rect(topright=(left + width, y)))
 
 
 class _View:
@@ -273,8 +265,8 @@ def _labels(picture: Any, view: _View, level: TreeLevel, k: int, current: int) -
     """Write the name of a level, its `*`, and the number of branches that are not drawn."""
     x, y = view.pixels(k, STAR)
     name = text(level.name, TEXT, symbols.INK if k == current else symbols.MUTED, bold=k == current)
-    picture.blit(name, (view.left + 8, round(y - name.get_height() / 2)))
+    picture.blit(name, name.get_rect(midleft=(view.left + 8, y)))
     star(picture, (x, y), symbols.PAPER if level.chosen == STAR else symbols.MUTED)
     if level.chosen is None and level.branches > _BRANCHES:
         more = text(f"+ {level.branches - _BRANCHES}", TEXT, symbols.MUTED)
-        picture.blit(more, (round(view.pixels(k, _BRANCHES - 1)[0] + 14), round(y - more.get_height() / 2)))
+        picture.blit(more, more.get_rect(midleft=(view.pixels(k, _BRANCHES - 1)[0] + 14, y)))

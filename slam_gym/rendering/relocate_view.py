@@ -1,5 +1,6 @@
 """The view of `Relocate-v0`: the map with the candidates, the scan, and the interpretation tree."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
 from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
+from slam_gym.rendering.scene import Scene, draw_scene
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.types import UNPAIRED, IntArray
 
 _INSET, _HEADING = 260, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
@@ -43,48 +45,41 @@ def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figure
 
 
 def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> None:
+    """Draw the map with the paired and the offered features and, once it is located, the robot with its scan."""
     view = fitting(mapped.site.plan.bounds, (0, _INSET, MAP[0], MAP[1] - _INSET - _HEADING), _MARGIN)
-    canvas = Canvas(MAP, *view, symbols.PAPER)
-    landmarks = transform(mapped.base, mapped.landmarks.positions)
-    provisional = np.zeros(len(landmarks), np.bool_)
-    canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)
-    spread = rotate_covariances(mapped.base[2], mapped.landmarks.covariances)
-    symbols.uncertainties(canvas, landmarks, spread, provisional)
-    symbols.landmarks(canvas, landmarks, provisional, 2.3)
+    canvas, base, features = Canvas(MAP, *view, symbols.PAPER), mapped.base, walk.node.hypothesis
+    landmarks, paired = transform(base, mapped.landmarks.positions), features != UNPAIRED
+    ends = np.full((len(features), 2), np.nan)
+    ends[paired] = landmarks[features[paired]]
+    located = locate(walk.scan, walk.landmarks, features)
+    pose = compose(base, located.pose)
+    scene = Scene(
+        true_pose=kidnapped.true_pose if kidnapped.inside else None,
+        landmarks=landmarks,
+        landmark_covariances=rotate_covariances(base[2], mapped.landmarks.covariances),
+        provisional=np.zeros(len(landmarks), np.bool_),
+    )
+    if np.isfinite(pose).all():
+        scene = replace(
+            scene,
+            pose=pose,
+            position_covariance=rotate_covariances(base[2], located.covariance[None, :2, :2])[0],
+            scan_points=transform(pose, walk.scan.points),
+            decisions=codes,
+            paired_positions=ends,
+        )
+    canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)  # pale, below what was mapped
+    draw_scene(canvas, scene, 1.0)
+    if scene.pose is None:
+        symbols.marks(canvas, ends[paired], codes[paired], 1.3)
     if walk.node.pairings and walk.locality is not None:
         local = walk.locality.of(int(walk.node.path.features[0]))
         canvas.discs(landmarks[local], 4.6, None, symbols.PROVISIONAL, 0.9)
-    if kidnapped.inside:
-        symbols.robot_body(canvas, kidnapped.true_pose, 0.2)
-    _draw_hypothesis(canvas, walk, mapped, landmarks, codes)
     canvas.discs(landmarks[walk.shown], 5.4, None, symbols.PLAN, 1.8)
     picture.blit(canvas.picture(), (0, 0))
     badges(picture, canvas.places(landmarks[walk.shown]))
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
     picture.blit(text(where, TEXT, symbols.MUTED), (14, 10))
-
-
-def _draw_hypothesis(
-    canvas: Canvas, walk: RelocationWalk, mapped: MappedWorld, landmarks: Array, codes: IntArray
-) -> None:
-    """Draw the paired features and, from two pairings on, the located robot and its measurements."""
-    features = walk.node.hypothesis
-    paired = features != UNPAIRED
-    if paired.sum() < 2:
-        symbols.marks(canvas, landmarks[features[paired]], codes[paired], 1.3)
-        return
-    located = locate(walk.scan, walk.landmarks, features)
-    if not np.isfinite(located.pose).all():
-        return
-    pose = compose(mapped.base, located.pose)
-    points, ends = transform(pose, walk.scan.points), np.full((len(features), 2), np.nan)
-    ends[paired] = landmarks[features[paired]]
-    known = codes != UNDECIDED
-    symbols.undecided(canvas, points[~known])
-    symbols.decisions(canvas, pose[:2], points[known], ends[known], codes[known])
-    turned = rotate_covariances(mapped.base[2], located.covariance[None, :2, :2])
-    canvas.ellipses(pose[None, :2], turned, None, symbols.MAPPED)
-    symbols.robot_estimate(canvas, pose, 0.2)
 
 
 def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, codes: IntArray) -> None:
@@ -93,7 +88,6 @@ def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, code
     reach = 1.3 * max(float(np.abs(points).max(initial=1.0)), 1.0)
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
     canvas.segments(np.concatenate([np.zeros_like(points), points], axis=1), symbols.LINE, 0.8)
-    symbols.undecided(canvas, points[codes == UNDECIDED])
     symbols.marks(canvas, points, codes)
     symbols.robot_estimate(canvas, np.array([0.0, 0.0, 0.5 * np.pi]), 0.0)
     if walk.measurement is not None:

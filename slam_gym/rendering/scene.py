@@ -3,7 +3,6 @@
 
 import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -54,7 +53,7 @@ class Scene:
     landmark_covariances: Array = _no_rows(2, 2)  # (n, 2, 2) [m²]
     provisional: BoolArray = _no_rows(dtype=np.bool_)  # (n,) not confirmed yet
     scan_points: Array = _no_rows(2)  # (m, 2) [m] measurements, seen from the estimated pose
-    decisions: IntArray = _no_rows(dtype=np.int64)  # (m,) `metrics.association.Decision`
+    decisions: IntArray = _no_rows(dtype=np.int64)  # (m,) `metrics.association.Decision`, or UNDECIDED
     paired_positions: Array = _no_rows(2)  # (m, 2) [m] of the landmark with which each is paired, NaN if none
     path: Array = _no_rows(2)  # (p, 2) [m] that the robot is going to follow
     goals: Array = _no_rows(2)  # (g, 2) [m] that are legal
@@ -74,6 +73,7 @@ def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
     """
     size = mark_size(canvas) if size is None else size
     if scene.grid is not None:
+        canvas.surface.fill(symbols.UNKNOWN_CELL)
         canvas.cells(scene.grid.cells, symbols.FREE_CELL, symbols.WALL_CELL, *scene.grid[1:])
     symbols.uncertainties(canvas, scene.landmarks, scene.landmark_covariances, scene.provisional)
     symbols.covisibility(canvas, scene.landmarks[scene.covisibility])
@@ -159,96 +159,79 @@ def _trail(poses: list[Array]) -> Array:
 
 _ROW, _COLUMN = 22, 202  # [pixels] height of an entry, width of a group
 _SYMBOL = (40, 16)  # [pixels] size of a symbol
-_Paint = Callable[[Canvas], None]  # draws on a canvas of that size with one metre per pixel
 
 
-class _LegendEntry(NamedTuple):
-    """An entry of the legend: words, and the symbol that they explain, drawn by the code that draws scenes."""
-
-    words: str
-    paint: _Paint
-    only_with: str = ""  # the field of the scene without which the entry is left out
-
-
-def _drawing(**fields: Any) -> _Paint:
+def _symbol(**fields: Any) -> Scene:
     arrays: dict[str, Any] = {name: np.array(value) for name, value in fields.items()}
-    scene = Scene(**arrays)
-    return lambda canvas: draw_scene(canvas, scene, 1.0)
+    return Scene(**arrays)
 
 
-def _landmark(provisional: bool) -> _Paint:
+def _landmark(provisional: bool) -> Scene:
     spread = [[[34.0, 5.0], [5.0, 7.0]]]
-    return _drawing(landmarks=[[20.0, 8.0]], landmark_covariances=spread, provisional=[provisional])
+    return _symbol(landmarks=[[20.0, 0.0]], landmark_covariances=spread, provisional=[provisional])
 
 
-def _decision(code: Decision) -> _Paint:
-    paired = [12.0, 8.0] if code in (Decision.RIGHT, Decision.WRONG) else [math.nan, math.nan]
-    robot, point = np.array([2.0, 8.0]), np.array([[28.0, 8.0]])
-    return lambda canvas: symbols.decisions(canvas, robot, point, np.array([paired]), np.array([int(code)]))
+def _decision(code: Decision, paired: float = math.nan) -> Scene:
+    return _symbol(scan_points=[[28.0, 0.0]], decisions=[code], paired_positions=[[paired, 0.0]])
 
 
-def _cells(canvas: Canvas) -> None:
-    square: Array = np.array([[0.0, 3.0], [10.0, 3.0], [10.0, 13.0], [0.0, 13.0]])
-    for x, colour in ((6.0, symbols.FREE_CELL), (16.0, symbols.WALL_CELL), (26.0, symbols.UNKNOWN_CELL)):
-        canvas.polygons(square[None] + [x, 0.0], colour, symbols.LINE)
-
-
-_THREE_KINDS = _drawing(features=[[7.0, 8.0], [20.0, 8.0], [33.0, 8.0]], kinds=[0, 1, 2])
-_TRUE_ROBOT = _drawing(true_trail=[[2.0, 8.0], [28.0, 8.0]], true_pose=[28.0, 8.0, 0.0])
-_ESTIMATED_ROBOT = _drawing(trail=[[2.0, 8.0], [18.0, 8.0]], pose=[25.0, 8.0, 0.0])
-_PAIR = _drawing(
-    landmarks=[[6.0, 4.0], [34.0, 12.0]],
+_PAIR = _symbol(
+    landmarks=[[6.0, -4.0], [34.0, 4.0]],
     landmark_covariances=np.zeros((2, 2, 2)),
     provisional=[False, False],
     covisibility=[[0, 1]],
 )
-_GROUPS: dict[str, tuple[_LegendEntry, ...]] = {
-    "True world": (
-        _LegendEntry("corner, jamb, pillar", _THREE_KINDS),
-        _LegendEntry("robot and its trail", _TRUE_ROBOT),
-        _LegendEntry("furniture", _drawing(furniture=[[20.0, 8.0, 20.0, 10.0, 0.0]]), "furniture"),
-        _LegendEntry("person", _drawing(people=[[20.0, 8.0, 6.0]]), "people"),
-    ),
-    "Estimate": (
-        _LegendEntry("mapped feature, 95 %", _landmark(provisional=False)),
-        _LegendEntry("not confirmed yet", _landmark(provisional=True)),
-        _LegendEntry("seen together", _PAIR, "covisibility"),
-        _LegendEntry("robot and its trail", _ESTIMATED_ROBOT),
-        _LegendEntry("free, wall, unknown", _cells, "grid"),
-        _LegendEntry("plan, goals on offer", _drawing(path=[[1.0, 8.0], [21.0, 8.0]], goals=[[35.0, 8.0]]), "goals"),
-    ),
-    "Measurements of this tick": (
-        _LegendEntry("paired, right", _decision(Decision.RIGHT)),
-        _LegendEntry("paired, wrong", _decision(Decision.WRONG)),
-        _LegendEntry("new feature", _decision(Decision.NEW)),
-        _LegendEntry("spurious, accepted", _decision(Decision.SPURIOUS)),
-        _LegendEntry("discarded", _decision(Decision.DISCARDED)),
-    ),
+_CELLS = np.tile(np.array([0, 2, 1, 1, 1, 1, 2, 0], np.uint8), (4, 1))
+_GRID = Scene(grid=DrawnGrid(_CELLS, np.array([0.0, -10.0, 0.0]), 5.0))
+_GROUPS: dict[str, dict[str, Scene]] = {  # words, and the scene that is their symbol, with one metre per pixel
+    "True world": {
+        "corner, jamb, pillar": _symbol(features=[[7.0, 0.0], [20.0, 0.0], [33.0, 0.0]], kinds=[0, 1, 2]),
+        "robot and its trail": _symbol(true_trail=[[2.0, 0.0], [28.0, 0.0]], true_pose=[28.0, 0.0, 0.0]),
+        "furniture": _symbol(furniture=[[20.0, 0.0, 20.0, 10.0, 0.0]]),
+        "person": _symbol(people=[[20.0, 0.0, 6.0]]),
+    },
+    "Estimate": {
+        "mapped feature, 95 %": _landmark(provisional=False),
+        "not confirmed yet": _landmark(provisional=True),
+        "seen together": _PAIR,
+        "robot and its trail": _symbol(trail=[[2.0, 0.0], [18.0, 0.0]], pose=[25.0, 0.0, 0.0]),
+        "free, wall, unknown": _GRID,
+        "plan, goals on offer": _symbol(path=[[1.0, 0.0], [21.0, 0.0]], goals=[[35.0, 0.0]]),
+    },
+    "Measurements of this tick": {
+        "paired, right": _decision(Decision.RIGHT, 12.0),
+        "paired, wrong": _decision(Decision.WRONG, 12.0),
+        "new feature": _decision(Decision.NEW),
+        "spurious, accepted": _decision(Decision.SPURIOUS),
+        "discarded": _decision(Decision.DISCARDED),
+    },
 }
 
 
 def shown_in(scene: Scene) -> frozenset[str]:
-    """The non-empty fields of a scene among those on which entries depend."""
-    conditions = {entry.only_with for entries in _GROUPS.values() for entry in entries} - {""}
-    fields = {name: getattr(scene, name) for name in conditions}
+    """The non-empty fields of a scene among those without which the entries that show them are left out."""
+    fields = {name: getattr(scene, name) for name in ("furniture", "people", "covisibility", "grid", "goals")}
     return frozenset(name for name, value in fields.items() if value is not None and len(value))
 
 
 @functools.lru_cache(maxsize=16)
 def legend(shown: frozenset[str], stacked: bool) -> Any:
     """A surface with the entries for the fields that are `shown`; groups are stacked, or side by side."""
-    groups = {name: [each for each in entries if each.only_with in shown | {""}] for name, entries in _GROUPS.items()}
-    heights = [_ROW * (1 + len(entries)) for entries in groups.values()]
+    groups = [
+        (name, {words: symbol for words, symbol in entries.items() if shown_in(symbol) <= shown})
+        for name, entries in _GROUPS.items()
+    ]
+    heights = [_ROW * (1 + len(entries)) for _, entries in groups]
     size = (_COLUMN, sum(heights) + 8 * (len(groups) - 1)) if stacked else (_COLUMN * len(groups), max(heights))
     surface = pygame.Surface(size, depth=32)
     surface.fill(symbols.PAPER)
     x, y = 0, 0
-    for (name, entries), height in zip(groups.items(), heights):
+    for (name, entries), height in zip(groups, heights):
         surface.blit(text(name, TEXT, symbols.INK, bold=True), (x, y))
-        for row, entry in enumerate(entries, start=1):
-            canvas = Canvas(_SYMBOL, (0.0, 0.0), 1.0, symbols.PAPER)
-            entry.paint(canvas)
+        for row, (words, symbol) in enumerate(entries.items(), start=1):
+            canvas = Canvas(_SYMBOL, (0.0, -8.0), 1.0, symbols.PAPER)
+            draw_scene(canvas, symbol, 1.0)
             surface.blit(canvas.picture(), (x, y + row * _ROW))
-            surface.blit(text(entry.words, TEXT, symbols.MUTED), (x + _SYMBOL[0] + 8, y + row * _ROW))
+            surface.blit(text(words, TEXT, symbols.MUTED), (x + _SYMBOL[0] + 8, y + row * _ROW))
         x, y = (x, y + height + 8) if stacked else (x + _COLUMN, y)
     return surface

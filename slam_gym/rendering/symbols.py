@@ -7,6 +7,7 @@ import numpy as np
 from slam_gym.geometry import transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering.canvas import Canvas, Colour
+from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.types import Array, BoolArray, IntArray
 
 PAPER: Colour = (255, 255, 255)
@@ -76,7 +77,7 @@ def covisibility(canvas: Canvas, pairs: Array) -> None:
 def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes: IntArray, size: float = 1.0) -> None:
     """Draw measurements (m, 2) as rays from `robot` (2,), with lines to the landmarks `paired` (m, 2).
 
-    `codes` (m,) are values of `metrics.association.Decision`; `size` scales the marks.
+    `codes` (m,) are values of `metrics.association.Decision`, or UNDECIDED; `size` scales the marks.
     """
     for code, colour in DECISIONS.items():
         chosen = codes == code
@@ -91,23 +92,20 @@ def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes:
 def decided_line(canvas: Canvas, ends: Array, code: int, width: float) -> None:
     """Draw a line (2, 2) in the colour of a decision; wrong ones are dashed."""
     if code == Decision.WRONG:
-        canvas.dashes(ends, DECISIONS[code], width, 3.0 * width)
+        canvas.dashes(ends, DECISIONS[code], width)
     else:
         canvas.segments(ends.reshape(1, 4), DECISIONS[code], width)
 
 
 def marks(canvas: Canvas, points: Array, codes: IntArray, size: float = 1.0) -> None:
-    """Draw measurements (m, 2) in the colours of the decisions on them (m,): as crosses if wrong, else as dots."""
+    """Draw measurements (m, 2) in the colours of the decisions on them (m,): as crosses if wrong, else as dots, which
+    are hollow if undecided."""
+    canvas.discs(points[codes == UNDECIDED], 3.4 * size, PAPER, INK, 1.2)
     for code, colour in DECISIONS.items():
         if code == Decision.WRONG:
             canvas.markers(points[codes == code], 5.0 * size * _CROSS, colour, PAPER, 0.8)
         else:
             canvas.discs(points[codes == code], 3.2 * size, colour, PAPER, 0.8)
-
-
-def undecided(canvas: Canvas, points: Array, size: float = 1.0) -> None:
-    """Draw undecided measurements (m, 2)."""
-    canvas.discs(points, 3.4 * size, PAPER, INK, 1.2)
 
 
 def choice(canvas: Canvas, point: Array, size: float = 1.0) -> None:
