@@ -4,10 +4,9 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
-import matplotlib.image
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -108,19 +107,6 @@ def final_map(episode: Episode) -> Figure:
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
     axis = plot_episode(episode, figure.subplots(subplot_kw={"frameon": False}), errors=True)
     axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
-    return figure
-
-
-def side_by_side(pictures: Mapping[str, Path]) -> Figure:
-    """A figure of .png files with their names, at most three in a row."""
-    across = min(len(pictures), 3)
-    down = math.ceil(len(pictures) / across)
-    figure = _figure(0.3 + 0.88 * down * WIDTH / across)
-    empty = {"frame_on": False, "xticks": [], "yticks": []}
-    axes = figure.subplots(down, across, squeeze=False, subplot_kw=empty).ravel()
-    for axis, (name, path) in zip(axes, pictures.items()):
-        axis.imshow(matplotlib.image.imread(path), interpolation="antialiased")
-        axis.set_title(display_name(name), fontsize=11)
     return figure
 
 

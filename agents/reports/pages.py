@@ -8,7 +8,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -64,7 +64,14 @@ class Film(NamedTuple):
     error: float | None
 
 
-Part = Table | Picture | Film | str
+class Maps(NamedTuple):
+    """Pictures of final maps, side by side."""
+
+    title: str
+    paths: Mapping[str, Path]  # name → .png
+
+
+Part = Table | Picture | Film | Maps | str
 
 
 @dataclass(frozen=True)
@@ -112,8 +119,7 @@ def drives_page(results: Results, folder: Path) -> Page:
         dots = partial(figures.dot_chart, grouped(frame, "name"), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
         if drawn := {name: path for name in groups if (path := map_path(folder, setting, name)).exists()}:
-            final = partial(figures.side_by_side, drawn)
-            parts.append(Picture(f"Maps at the end of the first episode of {table.title}", final))
+            parts.append(Maps(f"Maps at the end of the first episode of {table.title}", drawn))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
         parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]

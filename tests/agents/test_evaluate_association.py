@@ -22,7 +22,7 @@ def test_the_command_in_the_loop(tmp_path):
     result = typed(app, *line, "--set", "budget=60", "--jobs", 1, "--output", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
-    assert len(page.pictures) == 4
+    assert len(page.pictures) == 2 * (1 + 4)  # of each scenario the dots, and the maps of four contenders
     for expected in ("mine", "true association", "Against each other", '"gcbb"'):
         assert expected in page.text
     assert set(frame["setting"]) == {"office-small", "clutter/1"} and len(frame) == 16
