@@ -1,6 +1,5 @@
 """The view of `Associate-v0`: the surroundings of the robot, the current decision, and the interpretation tree."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from slam_gym.geometry import rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, fitting
-from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
+from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, mark_size, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.judged import RightAnswers, decisions
@@ -30,7 +29,6 @@ _KEY = (
 
 def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
     """A surface with a run and the walk through the tree of its present scan, or None after the end of the run."""
-    picture = picture_with(_panel(run, walk, answers, figures))
     scene = scene_of_episode(run) if isinstance(run, DrivenRun) else scene_of_log(run)
     pose = scene.pose
     assert pose is not None
@@ -41,9 +39,7 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
     canvas = Canvas(MAP, *view, symbols.PAPER)
     draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
     centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
-    picture.blit(canvas.picture(), (0, 0))
-    badges(picture, canvas.places(centres))
-    return picture
+    return picture_with(canvas, centres, _panel(run, walk, answers, figures))
 
 
 def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:
@@ -53,7 +49,7 @@ def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers
     codes = np.where(has_candidates, decisions(walk, answers), Decision.DISCARDED)
     paired, has_feature = np.full((len(rows), 2), np.nan), rows != UNPAIRED
     paired[has_feature] = transform(pose, tree.prediction.positions[rows[has_feature]])
-    return replace(scene, scan_points=transform(pose, tree.scan.points), decisions=codes, paired_positions=paired)
+    return scene._replace(scan_points=transform(pose, tree.scan.points), decisions=codes, paired_positions=paired)
 
 
 def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:

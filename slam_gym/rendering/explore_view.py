@@ -1,7 +1,6 @@
 """The view of `Explore-v0`: the whole floor, with figures and legend beside or below it."""
 
 import math
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +33,7 @@ class Layout(NamedTuple):
 def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
     """A surface with the present state of an episode; `goals` (g, 2) in B are the legal ones."""
     scene = scene_of_episode(episode, goals=goals, covisibility=covisibility)
-    scene = replace(
-        scene,
+    scene = scene._replace(
         scan_points=transform(compose(episode.base, episode.slam.map.pose), episode.scan.points),
         decisions=episode.identities.decisions,
         paired_positions=paired_positions(episode.last_step, episode.slam.map.ids, scene.landmarks),

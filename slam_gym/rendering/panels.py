@@ -152,10 +152,12 @@ class TreePanel(NamedTuple):
     remarks: Sequence[str] = ()  # in place of a table, where there are no choices
 
 
-def picture_with(shown: TreePanel) -> Any:
-    """A surface with the panel on the right, and space for a map on the left."""
+def picture_with(canvas: Canvas, candidates: Array, shown: TreePanel) -> Any:
+    """A surface with a map on the left, the actions beside their `candidates` (k, 2) [m] there, and the panel."""
     picture = pygame.Surface(SIZE, depth=32)
     picture.fill(symbols.PAPER)
+    picture.blit(canvas.picture(), (0, 0))
+    badges(picture, canvas.places(candidates))
     draw_panel(picture, (MAP[0], 0, PANEL, SIZE[1]), shown)
     return picture
 

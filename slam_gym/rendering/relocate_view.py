@@ -1,6 +1,5 @@
 """The view of `Relocate-v0`: the map with the candidates, the scan, and the interpretation tree."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
-from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, badges, picture_with
+from slam_gym.rendering.panels import KEY, MAP, STAR, ActionRow, Figures, TreeLevel, TreePanel, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
-from slam_gym.types import UNPAIRED, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray
 
 _INSET, _HEADING = 260, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
@@ -38,14 +37,15 @@ def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figure
     codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))  # (m,) by measurement
     codes[features == UNPAIRED] = Decision.DISCARDED
     codes[~walk.node.decided] = UNDECIDED
-    picture = picture_with(_panel(walk, right, codes, figures))
-    _draw_map(picture, walk, mapped, kidnapped, codes)
+    picture = picture_with(*_map(walk, mapped, kidnapped, codes), _panel(walk, right, codes, figures))
+    where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
+    picture.blit(text(where, TEXT, symbols.MUTED), (14, 10))
     _draw_scan(picture, (10, MAP[1] - _INSET - 10), walk, codes)
     return picture
 
 
-def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> None:
-    """Draw the map with the paired and the offered features and, once it is located, the robot with its scan."""
+def _map(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> tuple[Canvas, Array]:
+    """The map with the paired features and, once it is located, the robot with its scan; features on offer (k, 2)."""
     view = fitting(mapped.site.plan.bounds, (0, _INSET, MAP[0], MAP[1] - _INSET - _HEADING), _MARGIN)
     canvas, base, features = Canvas(MAP, *view, symbols.PAPER), mapped.base, walk.node.hypothesis
     landmarks, paired = transform(base, mapped.landmarks.positions), features != UNPAIRED
@@ -60,8 +60,7 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
         provisional=np.zeros(len(landmarks), np.bool_),
     )
     if np.isfinite(pose).all():
-        scene = replace(
-            scene,
+        scene = scene._replace(
             pose=pose,
             position_covariance=rotate_covariances(base[2], located.covariance[None, :2, :2])[0],
             scan_points=transform(pose, walk.scan.points),
@@ -76,10 +75,7 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
         local = walk.locality.of(int(walk.node.path.features[0]))
         canvas.discs(landmarks[local], 4.6, None, symbols.PROVISIONAL, 0.9)
     canvas.discs(landmarks[walk.shown], 5.4, None, symbols.PLAN, 1.8)
-    picture.blit(canvas.picture(), (0, 0))
-    badges(picture, canvas.places(landmarks[walk.shown]))
-    where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
-    picture.blit(text(where, TEXT, symbols.MUTED), (14, 10))
+    return canvas, landmarks[walk.shown]
 
 
 def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, codes: IntArray) -> None:

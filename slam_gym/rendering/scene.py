@@ -1,9 +1,7 @@
-# ruff: noqa: RUF009 (`_no_rows` is `dataclasses.field`)
 """A scene: the truth, the robot's estimate and its latest decisions, in one frame; and the legend."""
 
 import functools
 import math
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,34 +28,29 @@ class DrawnGrid(NamedTuple):
     resolution: float  # [m] side of a cell
 
 
-def _no_rows(*shape: int, dtype: Any = np.float64) -> Any:
-    return field(default_factory=lambda: np.empty((0, *shape), dtype))
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(NamedTuple):
     """The contents of a picture of the plane, in one frame: W, or B where W is unknown. All fields are optional."""
 
-    walls: Array = _no_rows(4)  # (s, 4) [m] x1 y1 x2 y2
-    features: Array = _no_rows(2)  # (N, 2) [m] true
-    kinds: IntArray = _no_rows(dtype=np.int64)  # (N,) 0 corner, 1 door jamb, 2 pillar
-    furniture: Array = _no_rows(5)  # (f, 5) x, y, length, width [m], heading [rad]
-    people: Array = _no_rows(3)  # (p, 3) x, y, radius [m]
+    walls: Array = np.empty((0, 4))  # (s, 4) [m] x1 y1 x2 y2
+    features: Array = np.empty((0, 2))  # (N, 2) [m] true
+    kinds: IntArray = np.empty(0, np.int64)  # (N,) 0 corner, 1 door jamb, 2 pillar
+    furniture: Array = np.empty((0, 5))  # (f, 5) x, y, length, width [m], heading [rad]
+    people: Array = np.empty((0, 3))  # (p, 3) x, y, radius [m]
     robot_radius: float = 0.2  # [m]
     true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where unknown
-    true_trail: Array = _no_rows(2)  # (t, 2) [m]
+    true_trail: Array = np.empty((0, 2))  # (t, 2) [m]
     pose: Array | None = None  # (3,) estimated
-    position_covariance: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) [m²] of that pose
-    trail: Array = _no_rows(2)  # (t, 2) [m] estimated
-    landmarks: Array = _no_rows(2)  # (n, 2) [m] the map
-    landmark_covariances: Array = _no_rows(2, 2)  # (n, 2, 2) [m²]
-    provisional: BoolArray = _no_rows(dtype=np.bool_)  # (n,) not confirmed yet
-    scan_points: Array = _no_rows(2)  # (m, 2) [m] measurements, seen from the estimated pose
-    decisions: IntArray = _no_rows(dtype=np.int64)  # (m,) `metrics.association.Decision`, or UNDECIDED
-    paired_positions: Array = _no_rows(2)  # (m, 2) [m] of the landmark with which each is paired, NaN if none
-    path: Array = _no_rows(2)  # (p, 2) [m] that the robot is going to follow
-    goals: Array = _no_rows(2)  # (g, 2) [m] that are legal
-    covisibility: IntArray = _no_rows(2, dtype=np.int64)  # (e, 2) pairs of landmarks seen together
+    position_covariance: Array = np.zeros((2, 2))  # (2, 2) [m²] of that pose
+    trail: Array = np.empty((0, 2))  # (t, 2) [m] estimated
+    landmarks: Array = np.empty((0, 2))  # (n, 2) [m] the map
+    landmark_covariances: Array = np.empty((0, 2, 2))  # (n, 2, 2) [m²]
+    provisional: BoolArray = np.empty(0, np.bool_)  # (n,) not confirmed yet
+    scan_points: Array = np.empty((0, 2))  # (m, 2) [m] measurements, seen from the estimated pose
+    decisions: IntArray = np.empty(0, np.int64)  # (m,) `metrics.association.Decision`, or UNDECIDED
+    paired_positions: Array = np.empty((0, 2))  # (m, 2) [m] of the landmark with which each is paired, NaN if none
+    path: Array = np.empty((0, 2))  # (p, 2) [m] that the robot is going to follow
+    goals: Array = np.empty((0, 2))  # (g, 2) [m] that are legal
+    covisibility: IntArray = np.empty((0, 2), np.int64)  # (e, 2) pairs of landmarks seen together
     grid: DrawnGrid | None = None
 
 

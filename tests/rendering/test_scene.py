@@ -1,7 +1,5 @@
 """Scenes: what an episode and a log come to, and that it is drawn in its colours, where it stands."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -95,7 +93,7 @@ def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_
     scene = scene_of_log(logged.run)
     np.testing.assert_allclose(scene.pose, logged.run.slam.map.pose)
     assert scene.grid is None and len(scene.features) == len(logged.run.targets)
-    unknown = replace(scene, true_pose=np.full(3, np.nan))
+    unknown = scene._replace(true_pose=np.full(3, np.nan))
     assert count(drawn(true_pose=unknown.true_pose, pose=scene.pose), symbols.INK) == 0
 
 
