@@ -17,13 +17,10 @@ from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
 _ROOM = (60, 60, MAP[0] - 120, MAP[1] - 120)  # [pixels] left, bottom, width, height of robot and measurements
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
-_COLUMNS = (0, 62, 130, 240)  # [pixels] of the table
 _KEY = (
     *KEY,
     (symbols.PAPER, symbols.PLAN, "legal, 95 % ellipse"),
     (symbols.PAPER, symbols.LINE, "compatible alone"),
-    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
-    (None, symbols.TRUTH, "the truth"),
 )
 
 
@@ -70,9 +67,9 @@ def _panel(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figure
         return TreePanel(figures, (), 0, _KEY, remarks=("Nothing is left to decide",))
     codes = decisions(walk, answers)
     levels = [_level(walk, answers, codes, k) for k in range(walk.tree.levels)]
-    columns = tuple(zip(_COLUMNS, (f"z{walk.measurement} is …", "feature", "alone D²", "with the path D²")))
+    headings = (f"z{walk.measurement} is …", "feature", "alone D²", "with the path D²")
     note = f"and {walk.hidden} more that K = {walk.K} hides" if walk.hidden else ""
-    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(run, walk, answers), note)
+    return TreePanel(figures, levels, walk.level, _KEY, headings, _choices(run, walk, answers), note)
 
 
 def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> TreeLevel:

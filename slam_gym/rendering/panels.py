@@ -26,12 +26,16 @@ _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0
 
 SIZE, PANEL = (960, 720), 400  # [pixels] of a picture; width of the panel on the right of a tree's picture
 MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] of the map on its left
+_COLUMNS = (0, 62, 130, 252)  # [pixels] of the table of actions
+
 KEY: tuple[KeyEntry, ...] = (  # common entries of both views
     (Decision.RIGHT, symbols.PAPER, "paired, right"),
     (Decision.WRONG, symbols.PAPER, "paired, wrong"),
     (Decision.DISCARDED, symbols.PAPER, "not paired"),
     (symbols.PAPER, symbols.INK, "not decided yet"),
     (symbols.CHOICE, symbols.INK, "to decide now"),
+    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
+    (None, symbols.TRUTH, "the truth"),
 )
 STAR = -1  # the branch `*`, which leaves the measurement unpaired
 _MARGIN = 18  # [pixels]
@@ -78,11 +82,11 @@ class ActionRow(NamedTuple):
     cells: tuple[str | tuple[str, float], ...]
 
 
-def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: Sequence[ActionRow], note: str) -> None:
-    """Draw the table of actions; `columns` are offset [pixels] and heading, `note` is written below."""
+def table(picture: Any, box: Box, headings: Sequence[str], choices: Sequence[ActionRow], note: str) -> None:
+    """Draw the table of actions, with the `note` below it."""
     left, top, width, _ = box
     pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
-    for k, (offset, heading) in enumerate(columns):
+    for k, (offset, heading) in enumerate(zip(_COLUMNS, headings)):
         picture.blit(text(heading, TEXT, symbols.MUTED if k else symbols.INK, bold=k == 0), (left + offset, top))
     for row, choice in enumerate(choices, start=1):
         y = top + row * ROW
@@ -90,14 +94,14 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
         if choice.right:
             pygame.draw.aacircle(picture, symbols.TRUTH, centre, _BADGE + 3, 2)
         badge(picture, centre, choice.action)
-        for (offset, _), cell in zip(columns[1:], choice.cells):
+        for offset, cell in zip(_COLUMNS[1:], choice.cells):
             words, fraction = (cell, None) if isinstance(cell, str) else cell
             picture.blit(text(words, TEXT, symbols.INK), (left + offset, y))
             if fraction is not None:
                 corner, length = (left + offset + 38, y + 6), max(3, round(60 * min(max(fraction, 0.0), 1.0)))
                 pygame.draw.rect(picture, symbols.LINE, (*corner, 60, 6), border_radius=3)
                 pygame.draw.rect(picture, symbols.PLAN, (*corner, length, 6), border_radius=3)
-    picture.blit(text(note, TEXT, symbols.MUTED), (left + columns[1][0], top + (len(choices) + 1) * ROW))
+    picture.blit(text(note, TEXT, symbols.MUTED), (left + _COLUMNS[1], top + (len(choices) + 1) * ROW))
 
 
 def badges(picture: Any, points: Sequence[Point]) -> None:
@@ -146,7 +150,7 @@ class TreePanel(NamedTuple):
     levels: Sequence[TreeLevel]
     current: int  # the level to decide; the number of levels at a leaf
     key: Sequence[KeyEntry]
-    columns: Sequence[tuple[int, str]] = ()  # of the table: offset [pixels] and heading
+    headings: Sequence[str] = ()  # of the table
     choices: Sequence[ActionRow] = ()  # its rows, `*` last
     note: str = ""  # below the table
     remarks: Sequence[str] = ()  # in place of a table, where there are no choices
@@ -179,7 +183,7 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
     else:
         choices, note = _fitting(shown, (bottom - tree_top - _MIN_TREE - 30) // ROW - 2)
         tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
-        table(picture, (x, tree_bottom, room, 0), shown.columns, choices, note)
+        table(picture, (x, tree_bottom, room, 0), shown.headings, choices, note)
     draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.current)
 
 

@@ -18,14 +18,11 @@ from slam_gym.types import UNPAIRED, Array, IntArray
 
 _INSET, _HEADING = 260, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
-_COLUMNS = (0, 62, 130, 262)  # [pixels] of the table
 _KEY = (
     *KEY,
     (symbols.PAPER, symbols.PLAN, "on offer"),
     (symbols.PAPER, symbols.LINE, "legal, later"),
     (symbols.PAPER, symbols.PROVISIONAL, "local to the first"),
-    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
-    (None, symbols.TRUTH, "the truth"),
     (symbols.INK, symbols.INK, "true robot"),
     (symbols.PAPER, symbols.MAPPED, "robot as located"),
 )
@@ -98,10 +95,9 @@ def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figu
     levels = [_level(walk, right, codes, k) for k in range(len(walk.order))]
     if walk.offer is None:
         return TreePanel(figures, levels, walk.level, _KEY, remarks=_remarks(walk))
-    headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst D²")
+    headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst D²" if walk.node.pairings else "")
     note = f"and {walk.hidden} more that K = {walk.spec.star} hides" if walk.hidden else ""
-    columns = tuple(zip(_COLUMNS, headings if walk.node.pairings else headings[:3]))
-    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(walk, right), note)
+    return TreePanel(figures, levels, walk.level, _KEY, headings, _choices(walk, right), note)
 
 
 def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> TreeLevel:

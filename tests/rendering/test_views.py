@@ -70,7 +70,7 @@ def drawn(levels, at, height=720, **shown) -> np.ndarray:
     surface = pygame.Surface((PANEL, height), depth=32)
     surface.fill(symbols.PAPER)
     figures = (("look", "3 of 9"), ("score", "0.5"), ("paired right", "7"))
-    shown = {"columns": ((0, "z is"), (64, "feature")), "choices": [ActionRow("*", False, ("none",))]} | shown
+    shown = {"headings": ("z is", "feature"), "choices": [ActionRow("*", False, ("none",))]} | shown
     draw_panel(surface, (0, 0, PANEL, height), TreePanel(figures, levels, at, KEY, **shown))
     return pixels(surface)
 
