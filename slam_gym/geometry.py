@@ -1,10 +1,11 @@
-"""SE(2): composition, inversion and transformation of points, each with its Jacobians.
+"""SE(2): composition, inversion and transformation of points, each with its Jacobians; and rays through grids.
 
 The notation is that of the stochastic-map literature. For a pose b given in the frame of a, a ⊕ b is b in the frame in
 which a is given; ⊖a is the inverse of a. Poses are (3,) `[x m, y m, θ rad]`, points (2,) [m].
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -90,3 +91,27 @@ def rotate_covariances(heading: float, covariances: Array) -> Array:
     across = c * s * (xx - yy) + (c * c - s * s) * xy
     along_x, along_y = c * c * xx - 2.0 * c * s * xy + s * s * yy, s * s * xx + 2.0 * c * s * xy + c * c * yy
     return np.array([[along_x, across], [across, along_y]]).transpose(2, 0, 1)
+
+
+@compiled
+def cells_along(x: float, y: float, dx: float, dy: float, reach: float) -> Iterator[tuple[int, int, float, float]]:
+    """The cells of a grid that a ray from (x, y) [cells] crosses, in order (Amanatides and Woo, "A fast voxel traversal
+    algorithm for ray tracing", 1987).
+
+    Yields row, column, and the parameters t at which (x, y) + t (dx, dy) enters and leaves the cell, up to t = `reach`.
+    """
+    column, row, enter = math.floor(x), math.floor(y), 0.0
+    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = next_y = across_x = across_y = math.inf  # t at the next border, t from border to border
+    if dx != 0.0:
+        next_x, across_x = (column + (dx > 0.0) - x) / dx, 1.0 / abs(dx)
+    if dy != 0.0:
+        next_y, across_y = (row + (dy > 0.0) - y) / dy, 1.0 / abs(dy)
+    while enter < reach:
+        leave = min(next_x, next_y, reach)
+        yield row, column, enter, leave
+        enter = leave
+        if next_x < next_y:
+            column, next_x = column + step_x, next_x + across_x
+        else:
+            row, next_y = row + step_y, next_y + across_y

@@ -93,7 +93,7 @@ def visibility(expected: Expected, positions: Array, covariances: Array) -> Arra
     """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view; (0,) where unknown."""
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
         return expected.visible
-    return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])
+    return probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ class Prediction:
         (positions, covariances, _), chosen = self.points, slice(None) if rows is None else rows
         if len(visible):
             return visible[chosen].copy()
-        return probabilities_in_view(positions[chosen], covariances[chosen], *sight, pose[:3])
+        return probabilities_in_view(positions[chosen], covariances[chosen], sight, pose[:3])
 
     def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
         """A copy with probabilities (k,) of being in view, for any pose; None: unknown.

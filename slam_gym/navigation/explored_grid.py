@@ -5,21 +5,18 @@ loops over the grid are compiled.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
+from slam_gym.geometry import cells_along
 from slam_gym.types import Array, Beams
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 
 Cells = NDArray[np.uint8]  # (h, w) class of each cell
-Evidence = NDArray[np.int8]  # (h, w) > 0: for a wall; < 0: for free space
-Sweeps = NDArray[np.int32]  # (h, w) number of the sweep that last touched each cell
-Counts = NDArray[np.uint32]  # (h, w) number of movable sweeps with an echo in each cell, or that crossed it
-Indices = NDArray[np.int32]  # (h · w,) flat indices of cells
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
 HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for a cell with an echo, and for a cell that beams cross
@@ -54,20 +51,6 @@ class ExploredCells(NamedTuple):
     resolution: float  # [m] side of a cell
 
 
-@compiled
-def border_crossings(position: float, direction: float) -> tuple[int, float, float]:
-    """Grid traversal along one axis (Amanatides and Woo 1987), lengths in cells.
-
-    Returns the step of the cell index, the length of the ray to the first border, and its length between borders.
-    Callers write the loop along a ray out: returning a new tuple for every cell would make it four times as slow.
-    """
-    if direction > 0.0:
-        return 1, (math.floor(position) + 1.0 - position) / direction, 1.0 / direction
-    if direction < 0.0:
-        return -1, (math.floor(position) - position) / direction, -1.0 / direction
-    return 0, math.inf, math.inf
-
-
 class ExploredGrid:
     """Explored space within fixed bounds.
 
@@ -89,7 +72,8 @@ class ExploredGrid:
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
         hits, crossings = np.zeros(shape, dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
         touched = np.empty(shape[0] * shape[1], dtype=np.int32)
-        self._layers: PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
+        layers = self._cells, evidence, self._blocks, sweeps, hits, crossings, touched, self.origin, self.resolution
+        self._layers: PackedLayers = layers
         self._sweep = 0  # number of the last sweep
 
     @property
@@ -119,10 +103,7 @@ class ExploredGrid:
         if len(pose) != 3:
             raise ValueError(f"pose: expected (3,), got {pose}")
         self._sweep += 1
-        _integrate(
-            self._layers, self._sweep, movable, self.origin, self.resolution, pose,
-            (beams.bearings, beams.ranges, beams.max_range),
-        )  # fmt: skip
+        _integrate(self._layers, self._sweep, movable, pose, (beams.bearings, beams.ranges, beams.max_range))
 
     def move(self, before: Array, after: Array, beams: Beams) -> None:
         """Move movable sweeps, with `beams.ranges` (k, b), from the poses `before` (k, 3) to `after` (k, 3), both in B.
@@ -131,10 +112,7 @@ class ExploredGrid:
         cell change, its class follows from all movable sweeps that touch it, whatever their order.
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
-        _redraw(
-            self._layers, first, self.origin, self.resolution, (before, after, beams.ranges), beams.bearings,
-            beams.max_range,
-        )  # fmt: skip
+        _redraw(self._layers, first, before, after, (beams.bearings, beams.ranges, beams.max_range))
 
     def expected_area(self, points: Array, reach: float, rays: int = 32) -> Array:
         """(q,) [m²] unknown area within `reach` [m] of each of `points` (q, 2) in B that no known wall hides.
@@ -156,39 +134,35 @@ class ExploredGrid:
 
 
 class Layers(NamedTuple):
-    """The data of every cell."""
+    """The data of every cell, and where the cells are."""
 
     cells: Cells
-    evidence: Evidence
+    evidence: NDArray[np.int8]  # (h, w) > 0: for a wall; < 0: for free space
     blocks: Blocks
-    sweeps: Sweeps
-    hits: Counts
-    crossings: Counts
-    touched: Indices  # working memory
+    sweeps: NDArray[np.int32]  # (h, w) number of the sweep that last touched each cell
+    hits: NDArray[np.uint32]  # (h, w) number of movable sweeps with an echo in each cell
+    crossings: NDArray[np.uint32]  # (h, w) number of movable sweeps that crossed each cell
+    touched: NDArray[np.int32]  # (h · w,) working memory: flat indices of cells
+    origin: Array  # (2,) [m] in B
+    resolution: float  # [m]
 
 
-PackedLayers = tuple[Cells, Evidence, Blocks, Sweeps, Counts, Counts, Indices]
+PackedLayers = tuple[Any, ...]
 """`Layers` as a plain tuple, which compiled functions take."""
+
+Sweep = tuple[Array, Array, float]
+"""The fields of `Beams`, as compiled functions take them."""
 
 
 @compiled
-def _trace(
-    layers: Layers,
-    sweep: int,
-    origin: Array,
-    resolution: float,
-    pose: Array,
-    bearings: Array,
-    ranges: Array,
-    max_range: float,
-) -> tuple[int, int]:
+def _trace(layers: Layers, number: int, pose: Array, sweep: Sweep) -> tuple[int, int]:
     """Enter the flat index of each cell of one sweep in `touched`; returns the number of echoes, and of all cells.
 
-    Cells with an echo come first, so that no beam of the same sweep that crosses them erases them. `sweep` is a number
-    that no earlier sweep had.
+    Cells with an echo come first, so that no beam of the same sweep that crosses them erases them. No earlier sweep had
+    this `number`.
     """
-    sweeps, touched = layers.sweeps, layers.touched
-    h, w = sweeps.shape
+    sweeps, touched, origin, resolution = layers.sweeps, layers.touched, layers.origin, layers.resolution
+    (h, w), (bearings, ranges, max_range) = sweeps.shape, sweep
     x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
     count, directions = 0, np.empty((bearings.shape[0], 2))
     for b in range(bearings.shape[0]):
@@ -196,8 +170,8 @@ def _trace(
         if 0.0 <= ranges[b] < max_range:
             column = math.floor(x + ranges[b] / resolution * directions[b, 0])
             row = math.floor(y + ranges[b] / resolution * directions[b, 1])
-            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != sweep:
-                sweeps[row, column] = sweep
+            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != number:
+                sweeps[row, column] = number
                 touched[count] = row * w + column
                 count += 1
     echoes = count
@@ -205,20 +179,13 @@ def _trace(
         if not ranges[b] >= 0.0:
             continue
         reach = min(ranges[b], max_range) / resolution
-        step_x, next_x, stride_x = border_crossings(x, directions[b, 0])
-        step_y, next_y, stride_y = border_crossings(y, directions[b, 1])
-        column, row = math.floor(x), math.floor(y)
-        while 0 <= row < h and 0 <= column < w:
-            if sweeps[row, column] != sweep:
-                sweeps[row, column] = sweep
+        for row, column, _, _ in cells_along(x, y, directions[b, 0], directions[b, 1], reach):
+            if not (0 <= row < h and 0 <= column < w):
+                break
+            if sweeps[row, column] != number:
+                sweeps[row, column] = number
                 touched[count] = row * w + column
                 count += 1
-            if min(next_x, next_y) >= reach:
-                break
-            if next_x < next_y:
-                column, next_x = column + step_x, next_x + stride_x
-            else:
-                row, next_y = row + step_y, next_y + stride_y
     return echoes, count
 
 
@@ -235,26 +202,14 @@ def _reclassify(layers: Layers, cell: int, after: int) -> None:
 
 
 @compiled
-def _integrate(
-    packed: PackedLayers,
-    sweep: int,
-    counted: bool,
-    origin: Array,
-    resolution: float,
-    pose: Array,
-    beams: tuple[Array, Array, float],
-) -> None:
-    """Enter one sweep of beams (bearings, ranges, greatest range): see `ExploredGrid.integrate`.
-
-    A sweep that is `counted` can be moved later.
-    """
-    bearings, ranges, max_range = beams
+def _integrate(packed: PackedLayers, number: int, counted: bool, pose: Array, sweep: Sweep) -> None:
+    """Enter one sweep: see `ExploredGrid.integrate`. A sweep that is `counted` can be moved later."""
     if not math.isfinite(pose[0] + pose[1] + pose[2]):
         raise ValueError("pose: expected finite numbers")
     layers = Layers(*packed)
     cells, evidence, touched = layers.cells.ravel(), layers.evidence.ravel(), layers.touched
     hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
-    echoes, end = _trace(layers, sweep, origin, resolution, pose, bearings, ranges, max_range)
+    echoes, end = _trace(layers, number, pose, sweep)
     if counted:
         for i in range(echoes):
             hits[touched[i]] += 1
@@ -272,23 +227,15 @@ def _integrate(
 
 
 @compiled
-def _redraw(
-    packed: PackedLayers,
-    first_sweep: int,
-    origin: Array,
-    resolution: float,
-    moved: tuple[Array, Array, Array],
-    bearings: Array,
-    max_range: float,
-) -> None:
-    """Move counted sweeps: `moved` are their old poses (k, 3), their new poses (k, 3), and their ranges (k, b).
+def _redraw(packed: PackedLayers, first: int, before: Array, after: Array, swept: Sweep) -> None:
+    """Move counted sweeps, with ranges (k, b), from the poses `before` (k, 3) to the poses `after` (k, 3).
 
     A pose of NaN means that the sweep is not in the grid. Evidence saturates and cannot be subtracted, but the counts
     can. Where these change, evidence and class are computed from the counts alone, whatever the order of the sweeps.
-    The sweep numbers from `first_sweep` to `first_sweep` + 2k − 1 are used up.
+    The sweep numbers from `first` to `first` + 2k − 1 are used up.
     """
-    layers, (before, after, ranges) = Layers(*packed), moved
-    size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
+    layers, (bearings, ranges, max_range) = Layers(*packed), swept
+    size, number, changed, touched = layers.cells.size, first, 0, layers.touched
     hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
     marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
     old_hits, old_crossings = np.empty(size, hits.dtype), np.empty(size, crossings.dtype)
@@ -296,8 +243,8 @@ def _redraw(
         for pose, is_added in ((before[k], False), (after[k], True)):
             if math.isnan(pose[0]):
                 continue
-            echoes, end = _trace(layers, sweep, origin, resolution, pose, bearings, ranges[k], max_range)
-            sweep += 1
+            echoes, end = _trace(layers, number, pose, (bearings, ranges[k], max_range))
+            number += 1
             for i in range(end):
                 cell = touched[i]
                 if not marked[cell]:
@@ -329,18 +276,11 @@ def _unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Arra
         angle = 2.0 * math.pi * (k + 0.5) / rays
         dx, dy = math.cos(angle), math.sin(angle)
         for q in range(points.shape[0]):
-            step_x, next_x, stride_x = border_crossings(points[q, 0], dx)
-            step_y, next_y, stride_y = border_crossings(points[q, 1], dy)
-            column, row, r_in = math.floor(points[q, 0]), math.floor(points[q, 1]), 0.0
-            while r_in < reach and 0 <= row < h and 0 <= column < w and cells[row, column] != WALL:
-                r_out = min(next_x, next_y, reach)
+            for row, column, r_in, r_out in cells_along(points[q, 0], points[q, 1], dx, dy, reach):
+                if not (0 <= row < h and 0 <= column < w) or cells[row, column] == WALL:
+                    break
                 if cells[row, column] == UNKNOWN:
                     areas[q] += (r_out * r_out - r_in * r_in) * math.pi / rays
-                r_in = r_out
-                if next_x < next_y:
-                    column, next_x = column + step_x, next_x + stride_x
-                else:
-                    row, next_y = row + step_y, next_y + stride_y
     return areas
 
 

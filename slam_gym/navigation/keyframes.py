@@ -9,12 +9,13 @@ drawn twice.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.geometry import wrap_angle
+from slam_gym.geometry import compose, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.types import NO_ID, Array, Beams, BoolArray, IntArray
@@ -29,8 +30,8 @@ FEWEST_ANCHORS = 3  # a keyframe that sees fewer also takes over those of the pr
 NO_PAIRS = np.empty((0, 2), np.int64)
 _STIFFNESS = 0.5  # [m²] λ/2: anchors whose squared distances from their centroid sum up to it turn a keyframe halfway
 
-_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B; not an array, because it changes at every tick
-_NOWHERE: _Pose = (math.inf, 0.0, 0.0)
+_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B
+_NOWHERE = (math.inf, 0.0, 0.0)
 
 
 class _Frames(NamedTuple):
@@ -51,16 +52,14 @@ class Keyframes:
     def __init__(self, grid: ExploredGrid) -> None:
         self._grid = grid
         room = 32
-        self._frames: _PackedFrames = (
-            np.empty((room, 3)),
-            np.empty(room, np.bool_),
-            np.empty((room, MOST_ANCHORS), np.int64),
-            np.empty((room, MOST_ANCHORS, 2)),
-        )
+        anchors, places = np.empty((room, MOST_ANCHORS), np.int64), np.empty((room, MOST_ANCHORS, 2))
+        self._frames: _PackedFrames = (np.empty((room, 3)), np.empty(room, np.bool_), anchors, places)
         self._first: list[int] = []  # index of the first sweep of each keyframe
         self._poses: list[Array] = []  # (3,) pose in B of each stored sweep, as last drawn
         self._ranges: list[Array] = []  # (b,) [m] of each stored sweep
-        self._last = self._kept = self._opened = _NOWHERE  # poses of the last sweep, the last stored, the last keyframe
+        self._last = np.array(_NOWHERE)  # (3,) pose of the last sweep
+        self._kept: Sequence[float] = _NOWHERE  # pose of the last stored sweep; no array, since every tick compares it
+        self._opened: Sequence[float] = _NOWHERE  # pose of the last keyframe
         self._checks, self._unchecked, self._allowed = 0, 0, MOST_REDRAWN
 
     def enter(
@@ -77,13 +76,14 @@ class Keyframes:
             raise ValueError(f"pose: expected finite numbers, got {pose}")
         if self._ranges and len(beams.ranges) != len(self._ranges[0]):
             raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {len(self._ranges[0])}")
-        surprised = _are_apart(current, _composed(self._last, motion), SURPRISE, SURPRISING_TURN)
-        self._last, self._unchecked, corrected = current, self._unchecked + 1, False
+        surprised = _are_apart(current, compose(self._last, motion).tolist(), SURPRISE, SURPRISING_TURN)
+        self._last, self._unchecked, corrected = pose.copy(), self._unchecked + 1, False
         self._allowed = min(self._allowed + ALLOWANCE, MOST_REDRAWN)
         if len(fused):
-            self._fuse(fused)
-            kept_as = dict(zip(fused[:, 1].tolist(), fused[:, 0].tolist()))
-            seen = np.array([kept_as.get(feature, feature) for feature in seen.tolist()], np.int64)
+            anchors, seen = self._frames[2][: len(self._first)], seen.copy()
+            for older, removed in fused.tolist():
+                anchors[anchors == removed] = older
+                seen[seen == removed] = older
         if self._first and (surprised or len(fused) or self._unchecked == CHECK):
             corrected = self._follow(beams, m.ids, m.positions)
         if corrected or _are_apart(current, self._opened, SPACING, TURN):
@@ -104,12 +104,6 @@ class Keyframes:
             self._frames = (poses, drawn, anchors, places)
         _open(self._frames, count, pose, seen, _rows_of(ids), positions)
         self._first.append(len(self._poses))
-
-    def _fuse(self, pairs: IntArray) -> None:
-        """Replace the second id of each pair (k, 2), which is no longer in the map, by the first."""
-        anchors = self._frames[2][: len(self._first)]
-        for kept, removed in pairs.tolist():
-            anchors[anchors == removed] = kept
 
     def _follow(self, beams: Beams, ids: IntArray, positions: Array) -> bool:
         """Redraw the keyframes that have moved, among a share of all; if the last one has moved, among all of them.
@@ -168,14 +162,7 @@ def _moved_with_keyframes(sweeps: Array, drawn: Array, now: Array, counts: IntAr
     return np.column_stack([now[:, 0] + x, now[:, 1] + y, now[:, 2] + arm[:, 2]])
 
 
-def _composed(pose: _Pose, motion: Array) -> _Pose:
-    """`geometry.compose(pose, motion)` for a pose in numbers and a motion (3,)."""
-    (at_x, at_y, heading), (x, y, turn) = pose, motion.tolist()
-    c, s = math.cos(heading), math.sin(heading)
-    return at_x + c * x - s * y, at_y + s * x + c * y, heading + turn
-
-
-def _are_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
+def _are_apart(one: Sequence[float], other: Sequence[float], distance: float, turn: float) -> bool:
     """Whether two poses are more than a distance [m] or a turn [rad] apart."""
     if abs(one[0] - other[0]) + abs(one[1] - other[1]) > distance:
         return True

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.explored_grid import FREE, WALL, Cells, ExploredGrid, border_crossings
+from slam_gym.geometry import cells_along
+from slam_gym.navigation.explored_grid import FREE, WALL, Cells, ExploredGrid
 from slam_gym.types import Array, BoolArray, IntArray
 
 MARGIN = 0.4  # [m] beyond the clearance, within which a path costs more near a wall
@@ -115,17 +117,9 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: A
     seed = (row + 1) * stride + column + 1
     dearest = math.sqrt(2.0) * (1.0 + CROWDING)
     buckets = 1 << math.ceil(math.log2(dearest + 2.0))  # more than a step costs: used cyclically
-    lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution, buckets)
-    return DistanceField(
-        start,
-        lengths.reshape(shape)[1:-1, 1:-1],
-        costs.reshape(shape)[1:-1, 1:-1],
-        levels[1:-1, 1:-1],
-        weights,
-        steps.reshape(shape)[1:-1, 1:-1],
-        origin,
-        grid.resolution,
-    )
+    flat: Any = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution, buckets)
+    lengths, costs, steps = (values.reshape(shape)[1:-1, 1:-1] for values in flat)
+    return DistanceField(start, lengths, costs, levels[1:-1, 1:-1], weights, steps, origin, grid.resolution)
 
 
 def _window(grid: ExploredGrid, within: Array) -> tuple[Cells, Array]:
@@ -227,17 +221,13 @@ def _wavefront(
 @compiled
 def _trace(steps: Steps, row: int, column: int) -> IntArray:
     """Cells (p, 2) [row, column] of the path from the start of the wavefront to a cell."""
-    count, r, c = 1, row, column
-    while steps[r, c] >= 0:
-        k = steps[r, c]
-        count, r, c = count + 1, r - _ROWS[k], c - _COLUMNS[k]
-    cells = np.empty((count, 2), dtype=np.int64)
-    r, c = row, column
-    for i in range(count - 1, -1, -1):
-        cells[i, 0], cells[i, 1] = r, c
-        k = max(0, steps[r, c])
-        r, c = r - _ROWS[k], c - _COLUMNS[k]
-    return cells
+    cells, first = np.empty((steps.size, 2), dtype=np.int64), steps.size - 1
+    cells[first, 0], cells[first, 1] = row, column
+    while steps[row, column] >= 0:
+        k, first = steps[row, column], first - 1
+        row, column = row - _ROWS[k], column - _COLUMNS[k]
+        cells[first, 0], cells[first, 1] = row, column
+    return cells[first:].copy()
 
 
 @compiled
@@ -245,19 +235,11 @@ def _line_cost(costs: Array, levels: Levels, weights: Array, r0: int, c0: int, r
     """Cost [cells] of the straight line between the centres of two cells; inf if it leaves the reachable cells."""
     dx, dy = float(c1 - c0), float(r1 - r0)
     length = math.hypot(dx, dy)
-    step_x, next_x, stride_x = border_crossings(c0 + 0.5, dx / length)
-    step_y, next_y, stride_y = border_crossings(r0 + 0.5, dy / length)
-    row, column, r_in, cost = r0, c0, 0.0, 0.0
-    while r_in < length - 1e-9:
+    cost = 0.0
+    for row, column, r_in, r_out in cells_along(c0 + 0.5, r0 + 0.5, dx / length, dy / length, length):
         if costs[row, column] == math.inf:
             return math.inf
-        r_out = min(next_x, next_y, length)
         cost += (r_out - r_in) * weights[levels[row, column]]
-        r_in = r_out
-        if next_x < next_y:
-            column, next_x = column + step_x, next_x + stride_x
-        else:
-            row, next_y = row + step_y, next_y + stride_y
     return cost
 
 

@@ -1,7 +1,6 @@
 """Path following: nearest point of a path, remaining length, and pure pursuit for a differential-drive robot."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,17 +15,13 @@ DECELERATION = 1.5  # [m/s²] at the end of the path
 TOLERANCE = 0.03  # [m] distance from the end at which the robot stops
 
 
-class OnPath(NamedTuple):
-    """The point of a path that is nearest to a position."""
-
-    segment: int  # index of the segment that contains the point
-    covered: float  # [m] from the beginning of the segment to the point
-    gap: float  # [m] from the point to the position
-
-
 @compiled
-def on_path(path: Array, position: Array) -> OnPath:
-    """The point of a path (p, 2), p ≥ 2, that is nearest to `position` (2,)."""
+def on_path(path: Array, position: Array) -> tuple[int, float, float]:
+    """The point of a path (p, 2), p ≥ 2, that is nearest to `position` (2,).
+
+    Returns the index of its segment, and the distances [m] from the beginning of the segment to the point, and from the
+    point to the position.
+    """
     best, segment, covered = math.inf, 0, 0.0
     x, y = position[0], position[1]
     for i in range(path.shape[0] - 1):
@@ -36,16 +31,16 @@ def on_path(path: Array, position: Array) -> OnPath:
         gap = math.hypot(path[i, 0] + t * dx - x, path[i, 1] + t * dy - y)
         if gap < best:
             best, segment, covered = gap, i, t * math.sqrt(squared)
-    return OnPath(segment, covered, best)
+    return segment, covered, best
 
 
 @compiled
 def length_left(path: Array, position: Array) -> float:
     """[m] from `position` (2,) to the nearest point of the path (p, 2), p ≥ 2, and along the path from there."""
-    at, remaining = on_path(path, position), 0.0
-    for i in range(at.segment, path.shape[0] - 1):
+    (segment, covered, gap), remaining = on_path(path, position), 0.0
+    for i in range(segment, path.shape[0] - 1):
         remaining += math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
-    return at.gap + remaining - at.covered
+    return gap + remaining - covered
 
 
 def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Array]:
@@ -53,16 +48,16 @@ def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Arr
 
     Returns the waypoints (q, 2) of this part, and the waypoints (r, 2) after it.
     """
-    at, total = on_path(path, position), 0.0
-    for i in range(at.segment, path.shape[0] - 1):
+    (segment, covered, _), total = on_path(path, position), 0.0
+    for i in range(segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
         total += length
-        if total - at.covered >= ahead:
-            stretch, back = path[at.segment : i + 2].copy(), (total - at.covered - ahead) / max(length, 1e-9)
+        if total - covered >= ahead:
+            stretch, back = path[segment : i + 2].copy(), (total - covered - ahead) / max(length, 1e-9)
             stretch[-1, 0], stretch[-1, 1] = path[i + 1, 0] - back * dx, path[i + 1, 1] - back * dy
             return stretch, path[i + 1 :].copy()
-    return path[at.segment :].copy(), path[:0].copy()
+    return path[segment:].copy(), path[:0].copy()
 
 
 def points_ahead(path: Array, position: Array, spacing: float) -> Array:
@@ -90,9 +85,9 @@ def follow(pose: Array, path: Array, max_speed: float, max_turn: float) -> tuple
     """
     if path.shape[0] == 0:
         return 0.0, 0.0
-    at = on_path(path, pose[:2])
-    x, y, remaining, passed = path[-1, 0], path[-1, 1], -at.covered, False
-    for i in range(at.segment, path.shape[0] - 1):
+    segment, covered, _ = on_path(path, pose[:2])
+    x, y, remaining, passed = path[-1, 0], path[-1, 1], -covered, False
+    for i in range(segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
         if not passed and remaining + length >= LOOKAHEAD:

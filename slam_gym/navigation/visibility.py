@@ -13,12 +13,12 @@ a feature at the end of a wall, seen along the wall, is neither surely hidden no
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
+from slam_gym.geometry import cells_along
+from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCells
 from slam_gym.types import Array
 from slam_gym.types._fields import compact
 
@@ -31,13 +31,6 @@ SightArrays = tuple[SensorFigures, tuple[Cells, Array, float]]  # and explored s
 
 NOTHING_EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
 """In place of explored space: no wall hides anything."""
-
-
-class _Sensor(NamedTuple):
-    half: float  # [rad] half the field of view
-    near: float  # [m] least range
-    far: float  # [m] greatest range
-    unknown: float  # see `ViewsFrom`
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +64,13 @@ class ViewsFrom:
 
 
 @compiled
-def probabilities_in_view(
-    positions: Array,
-    covariances: Array,
-    sensor_figures: SensorFigures,
-    explored: tuple[Cells, Array, float],
-    pose: Array,
-) -> Array:
+def probabilities_in_view(positions: Array, covariances: Array, sight: SightArrays, pose: Array) -> Array:
     """The probability (k,) that each feature is in view; NaN for a feature with an invalid number.
 
     `positions` (k, 2) [m] and `covariances` (k, 2, 2) are in R; `pose` (3,) is that of the robot in B.
     """
-    sensor, grid, out = _Sensor(*sensor_figures), ExploredCells(*explored), np.empty(len(positions))
+    (sensor, explored), out = sight, np.empty(len(positions))
+    (_, _, far, unknown), grid = sensor, ExploredCells(*explored)
     for j in range(len(positions)):
         x, y = positions[j, 0], positions[j, 1]
         xx, xy, yy = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
@@ -95,8 +83,8 @@ def probabilities_in_view(
         across = math.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
         out[j] = _in_field(r, math.atan2(y, x), along, across, sensor)
         if grid.cells.size > 0 and out[j] > 0.0:
-            shorten = min(1.0, sensor.far / r) if r > 0.0 else 1.0  # whatever is seen is within the range
-            out[j] *= _in_sight(grid, pose, shorten * x, shorten * y, across, sensor.unknown)
+            shorten = min(1.0, far / r) if r > 0.0 else 1.0  # whatever is seen is within the range
+            out[j] *= _in_sight(grid, pose, shorten * x, shorten * y, across, unknown)
     return out
 
 
@@ -109,19 +97,20 @@ def _below(z: float, sigma: float) -> float:
 
 
 @compiled
-def _in_field(r: float, bearing: float, along: float, across: float, sensor: _Sensor) -> float:
+def _in_field(r: float, bearing: float, along: float, across: float, sensor: SensorFigures) -> float:
     """P(in range) · P(in the field of view)."""
-    in_range = _below(sensor.far - r, along)
-    if sensor.near > 0.0:
-        in_range -= _below(sensor.near - r, along)
-    if sensor.half >= math.pi:
+    half, near, far, _ = sensor
+    in_range = _below(far - r, along)
+    if near > 0.0:
+        in_range -= _below(near - r, along)
+    if half >= math.pi:
         return in_range
     # beyond σ = π the bearing is nearly uniform, and three turns of the circle hold nearly all of its distribution
     sigma = min(across / r, math.pi) if r > 0.0 else math.pi
     in_field = 0.0
     for turn in range(-1, 2):
         to = bearing + 2.0 * math.pi * turn
-        in_field += _below(sensor.half - to, sigma) - _below(-sensor.half - to, sigma)
+        in_field += _below(half - to, sigma) - _below(-half - to, sigma)
     return in_range * min(in_field, 1.0)
 
 
@@ -152,23 +141,15 @@ def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) 
     reach = length - _SHORT
     if not reach > 0.0:
         return 1.0
-    h, w = cells.shape
-    step_x, next_x, stride_x = border_crossings(x, dx / length)
-    step_y, next_y, stride_y = border_crossings(y, dy / length)
-    column, row, r_in, unknown_length, first = math.floor(x), math.floor(y), 0.0, 0.0, True
-    while r_in < reach:
-        r_out = min(next_x, next_y, reach)
+    (h, w), unknown_length, first = cells.shape, 0.0, True
+    for row, column, r_in, r_out in cells_along(x, y, dx / length, dy / length, reach):
         inside = 0 <= row < h and 0 <= column < w
-        rises_off = (row < 0 and step_y <= 0) or (row >= h and step_y >= 0)
-        if rises_off or (column < 0 and step_x <= 0) or (column >= w and step_x >= 0):  # never enters the grid again
+        rises_off = (row < 0 and dy <= 0.0) or (row >= h and dy >= 0.0)
+        if rises_off or (column < 0 and dx <= 0.0) or (column >= w and dx >= 0.0):  # never enters the grid again
             return float(tau ** (unknown_length + reach - r_in))
         if inside and not first and cells[row, column] == WALL:
             return 0.0
         if not inside or cells[row, column] == UNKNOWN:
             unknown_length += r_out - r_in
-        r_in, first = r_out, False
-        if next_x < next_y:
-            column, next_x = column + step_x, next_x + stride_x
-        else:
-            row, next_y = row + step_y, next_y + stride_y
+        first = False
     return float(tau**unknown_length) if unknown_length > 0.0 else 1.0

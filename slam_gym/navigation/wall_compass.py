@@ -16,7 +16,6 @@ them to be independent overestimates the error of their sum. A curved wall is ap
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,53 +47,34 @@ class WallCompass:
         return Odometry(motion, covariance)
 
 
-class _Run(NamedTuple):
-    """A run of echoes on one line: a, its covariance, and the index of the beam after the last echo."""
-
-    ax: float  # [1/m]
-    ay: float
-    xx: float  # [1/m²]
-    xy: float
-    yy: float
-    end: int
-
-
-class _Difference(NamedTuple):
-    """The difference of two lines that the motion does not explain, with its covariance and D²."""
-
-    turn: float  # [rad] of α
-    away: float  # [m] of ρ
-    tt: float
-    ta: float
-    aa: float
-    distance: float
-
-
 @compiled
 def _lines(bearings: Array, ranges: Array, max_range: float, variance: float) -> Array:
     """(l, 5) walls in R that runs of echoes lie on: α [rad], ρ [m] and their covariance αα, αρ, ρρ."""
     out, count, b = np.empty((len(bearings), 5)), 0, 0
     while b + _FEWEST <= len(bearings):
-        run = _run(bearings, ranges, max_range, variance, b)
-        if run.end - b < _FEWEST:
+        ax, ay, xx, xy, yy, end = _run(bearings, ranges, max_range, variance, b)
+        if end - b < _FEWEST:
             b += 1
             continue
-        square = run.ax * run.ax + run.ay * run.ay
+        square = ax * ax + ay * ay
         root = math.sqrt(square)
-        tx, ty, dx, dy = -run.ay / square, run.ax / square, -run.ax / (square * root), -run.ay / (square * root)
-        out[count, 0], out[count, 1] = math.atan2(run.ay, run.ax), 1.0 / root
-        out[count, 2] = tx * tx * run.xx + 2.0 * tx * ty * run.xy + ty * ty * run.yy + _BENT
-        out[count, 3] = tx * dx * run.xx + (tx * dy + ty * dx) * run.xy + ty * dy * run.yy
-        out[count, 4] = dx * dx * run.xx + 2.0 * dx * dy * run.xy + dy * dy * run.yy + _SHIFTED
-        count, b = count + 1, run.end
+        tx, ty, dx, dy = -ay / square, ax / square, -ax / (square * root), -ay / (square * root)
+        out[count, 0], out[count, 1] = math.atan2(ay, ax), 1.0 / root
+        out[count, 2] = tx * tx * xx + 2.0 * tx * ty * xy + ty * ty * yy + _BENT
+        out[count, 3] = tx * dx * xx + (tx * dy + ty * dx) * xy + ty * dy * yy
+        out[count, 4] = dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy + _SHIFTED
+        count, b = count + 1, end
     return out[:count].copy()
 
 
 @compiled
-def _run(bearings: Array, ranges: Array, max_range: float, variance: float, first: int) -> _Run:
-    """The run of echoes from beam `first` on, by recursive least squares.
+def _run(
+    bearings: Array, ranges: Array, max_range: float, variance: float, first: int
+) -> tuple[float, float, float, float, float, int]:
+    """The run of echoes on one line from beam `first` on, by recursive least squares.
 
-    The gate of the next echo includes the covariance of the line.
+    The gate of the next echo includes the covariance of the line. Returns a [1/m], its covariance xx, xy, yy [1/m²],
+    and the index of the beam after the last echo.
     """
     mxx = mxy = myy = hx = hy = ax = ay = xx = xy = yy = 0.0
     b = first
@@ -116,7 +96,7 @@ def _run(bearings: Array, ranges: Array, max_range: float, variance: float, firs
             determinant = mxx * myy - mxy * mxy
             xx, xy, yy = myy / determinant, -mxy / determinant, mxx / determinant
             ax, ay = xx * hx + xy * hy, xy * hx + yy * hy
-    return _Run(ax, ay, xx, xy, yy, b)
+    return ax, ay, xx, xy, yy, b
 
 
 @compiled
@@ -130,21 +110,21 @@ def _correct(motion: Array, P: Array, before: Array, beams: tuple[Array, Array, 
     for j in range(len(after)):
         least, row = _PAIRED, -1
         for i in range(len(before)):
-            distance = math.inf if used[i] else _difference(motion, P, before[i], after[j]).distance
+            distance = math.inf if used[i] else _difference(motion, P, before[i], after[j])[-1]
             if distance < least:
                 least, row = distance, i
         if row < 0:
             continue
         used[row] = True
         # K = P Hᵀ S⁻¹; the motion moves by K times the difference, and P ← P − K H P
-        d, c, s = _difference(motion, P, before[row], after[j]), math.cos(before[row, 0]), math.sin(before[row, 0])
-        determinant = d.tt * d.aa - d.ta * d.ta
+        turn, away, tt, ta, aa, _ = _difference(motion, P, before[row], after[j])
+        c, s, determinant = math.cos(before[row, 0]), math.sin(before[row, 0]), tt * aa - ta * ta
         for i in range(3):
             PH[i, 0], PH[i, 1] = P[i, 2], c * P[i, 0] + s * P[i, 1]
-            K[i, 0] = (d.aa * PH[i, 0] - d.ta * PH[i, 1]) / determinant
-            K[i, 1] = (d.tt * PH[i, 1] - d.ta * PH[i, 0]) / determinant
+            K[i, 0] = (aa * PH[i, 0] - ta * PH[i, 1]) / determinant
+            K[i, 1] = (tt * PH[i, 1] - ta * PH[i, 0]) / determinant
         for i in range(3):
-            motion[i] += K[i, 0] * d.turn + K[i, 1] * d.away
+            motion[i] += K[i, 0] * turn + K[i, 1] * away
             for k in range(i + 1):
                 P[i, k] -= K[i, 0] * PH[k, 0] + K[i, 1] * PH[k, 1]
                 P[k, i] = P[i, k]
@@ -152,8 +132,12 @@ def _correct(motion: Array, P: Array, before: Array, beams: tuple[Array, Array, 
 
 
 @compiled
-def _difference(motion: Array, P: Array, before: Array, after: Array) -> _Difference:
-    """S = H P Hᵀ + C + C', with a row (0, 0, 1) of H for the turn and (n, 0) for the distance."""
+def _difference(motion: Array, P: Array, before: Array, after: Array) -> tuple[float, ...]:
+    """The difference of two lines that the motion does not explain: of α [rad] and of ρ [m], its covariance tt, ta, aa,
+    and its D².
+
+    S = H P Hᵀ + C + C', with a row (0, 0, 1) of H for the turn and (n, 0) for the distance.
+    """
     c, s = math.cos(before[0]), math.sin(before[0])
     turn = wrap_angle(before[0] - after[0] - motion[2])
     away = before[1] - after[1] - c * motion[0] - s * motion[1]
@@ -161,4 +145,4 @@ def _difference(motion: Array, P: Array, before: Array, after: Array) -> _Differ
     ta = c * P[0, 2] + s * P[1, 2] + before[3] + after[3]
     aa = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1] + before[4] + after[4]
     distance = (aa * turn * turn - 2.0 * ta * turn * away + tt * away * away) / (tt * aa - ta * ta)
-    return _Difference(turn, away, tt, ta, aa, distance)
+    return turn, away, tt, ta, aa, distance

@@ -1,7 +1,6 @@
 """Ray casting among thousands of walls, over a uniform grid whose cells list the walls that touch them.
 
-A ray visits cells in the order in which it crosses them (the digital differential analyser of Amanatides and Woo, "A
-fast voxel traversal algorithm for ray tracing", 1987) and stops at the first cell that holds its nearest hit, so its
+A ray visits cells in the order in which it crosses them and stops at the first cell that holds its nearest hit, so its
 cost depends on its length and on how dense the walls are along it, not on how many walls the building has. Moving
 objects are few and are tested one by one: people are discs (d, 3) [m] `x y radius`; furniture is boxes (f, 5) `x m,
 y m, length m, width m, heading rad`, (x, y) being the centre, whose sides are segments.
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
+from slam_gym.geometry import cells_along
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import Features, Kind
 
@@ -139,31 +139,19 @@ def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: i
 @compiled
 def _wall_hit(grid: WallGrid, x: float, y: float, dx: float, dy: float) -> float:
     """Least t in [0, 1] at which (x, y) + t (dx, dy) meets a wall; inf where it meets none."""
-    nearest = math.inf
-    column, row = math.floor((x - grid.xmin) / grid.cell), math.floor((y - grid.ymin) / grid.cell)
-    if not (0 <= column < grid.columns and 0 <= row < grid.rows):  # seen from outside, every wall is tested
+    nearest, from_x, from_y = math.inf, (x - grid.xmin) / grid.cell, (y - grid.ymin) / grid.cell
+    if not (0.0 <= from_x < grid.columns and 0.0 <= from_y < grid.rows):  # seen from outside, every wall is tested
         for s in range(len(grid.walls)):
             nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls, s))
         return nearest
-    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-    next_x = next_y = across_x = across_y = math.inf  # t at the next border, t from border to border
-    if dx != 0.0:
-        next_x = (grid.xmin + (column + (dx > 0.0)) * grid.cell - x) / dx
-        across_x = grid.cell / abs(dx)
-    if dy != 0.0:
-        next_y = (grid.ymin + (row + (dy > 0.0)) * grid.cell - y) / dy
-        across_y = grid.cell / abs(dy)
-    while 0 <= column < grid.columns and 0 <= row < grid.rows:
+    for row, column, _, leave in cells_along(from_x, from_y, dx / grid.cell, dy / grid.cell, 1.0):
+        if not (0 <= row < grid.rows and 0 <= column < grid.columns):
+            break
         c = row * grid.columns + column
         for k in range(grid.starts[c], grid.starts[c + 1]):
             nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls, grid.members[k]))
-        leave = min(next_x, next_y)
-        if nearest <= leave or leave > 1.0:
+        if nearest <= leave:
             break
-        if next_x < next_y:
-            column, next_x = column + step_x, next_x + across_x
-        else:
-            row, next_y = row + step_y, next_y + across_y
     return nearest
 
 

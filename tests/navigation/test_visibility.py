@@ -133,9 +133,9 @@ def test_bad_fields_of_view_are_named(options):
 
 def test_a_feature_with_invalid_numbers_has_no_probability():
     places, spread = np.array([[math.nan, 0.0], [1.0, 0.0]]), np.tile(np.eye(2), (2, 1, 1))
-    found = probabilities_in_view(places, spread, *NARROW.arrays, np.zeros(3))
+    found = probabilities_in_view(places, spread, NARROW.arrays, np.zeros(3))
     assert math.isnan(found[0]) and 0.0 < found[1] < 1.0
-    assert np.isnan(probabilities_in_view(places, -spread, *NARROW.arrays, np.zeros(3))).all()
+    assert np.isnan(probabilities_in_view(places, -spread, NARROW.arrays, np.zeros(3))).all()
 
 
 @pytest.mark.parametrize("sigma", [1e3, 1e6, 1e12])

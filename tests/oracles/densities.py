@@ -66,7 +66,7 @@ def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> flo
 def in_view(sight: ViewsFrom, positions: Array, covariances: Array, pose: Array | None = None) -> Array:
     """(k,) probability that each feature, given in R, is in view from `pose` (3,)."""
     at = np.zeros(3) if pose is None else pose
-    found = probabilities_in_view(positions, covariances, *sight.arrays, at)
+    found = probabilities_in_view(positions, covariances, sight.arrays, at)
     assert np.isfinite(found).all()
     return found
 
