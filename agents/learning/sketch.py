@@ -40,7 +40,7 @@ class Sketch:
         self._begun, scenario, plan = episode, episode.scenario, episode.site.plan
         walls = wall_index(np.concatenate([plan.walls, episode.world.furniture_segments]))
         perfect = replace(scenario.sensor, detection=1.0, clutter=0.0, max_features=len(plan.features))
-        self._sensor = Sensor(plan, walls, perfect, replace(scenario.beams, sigma=0.0))
+        self._sensor = Sensor(plan, walls, perfect, replace(scenario.beams, sigma=0.0), scenario.odometry)
         self._noise = np.random.default_rng(0)  # of the measured positions, which are not used
         self._sightings = np.zeros(len(plan.features), np.int64)
         side, shape = episode.grid.resolution, np.array(episode.grid.cells.shape[::-1])

@@ -8,7 +8,7 @@ array does not have the type and shape that compiled functions read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,8 +29,6 @@ from slam_gym.types._fields import UNKNOWN_KIND as UNKNOWN_KIND  # `as`: also fo
 from slam_gym.types._fields import Array as Array
 from slam_gym.types._fields import BoolArray as BoolArray
 from slam_gym.types._fields import IntArray as IntArray
-
-_NO_KINDS: IntArray = np.empty(0, np.int64)
 
 SPURIOUS = -1
 """The source of a measurement that comes from no true feature."""
@@ -73,12 +71,11 @@ class Scan:
     covariances: Array  # (m, 2, 2) [m²] in R
     sizes: Array  # (m,) [m] measured intrinsic attribute, NaN where unknown
     size_variances: Array  # (m,) [m²], NaN where unknown
-    # (m,) class reported by the detector, UNKNOWN_KIND where it reports none; default: none at all
-    kinds: IntArray = field(default_factory=lambda: _NO_KINDS)
+    kinds: IntArray = None  # type: ignore[assignment]  # (m,) class by the detector, UNKNOWN_KIND where it has none
 
     def __post_init__(self) -> None:
         m = len(self.points)
-        if self.kinds is _NO_KINDS:
+        if self.kinds is None:
             object.__setattr__(self, "kinds", np.full(m, UNKNOWN_KIND))
         check_array("Scan.points", self.points, FLOAT, (m, 2))
         check_array("Scan.covariances", self.covariances, FLOAT, (m, 2, 2))

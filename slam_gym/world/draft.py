@@ -32,16 +32,18 @@ class Contents:
     furniture_side: Limits = (0.4, 0.9)  # [m]
 
     def __post_init__(self) -> None:
-        for name in ("pilasters", "pillars", "furniture"):
-            check_limits(f"Contents.{name}", (getattr(self, name),) * 2, 0.0, 1_000.0)
-        for name in ("pilaster_width", "pilaster_depth", "pillar_diameter", "furniture_side"):
-            check_limits(f"Contents.{name}", getattr(self, name), 0.05, 5.0)
+        check_limits(self, 0.0, 1_000.0, "pilasters", "pillars", "furniture")
+        check_limits(self, 0.05, 5.0, "pilaster_width", "pilaster_depth", "pillar_diameter", "furniture_side")
 
 
-def check_limits(name: str, value: Limits, low: float, high: float) -> None:
-    """Raise ValueError unless `value` is a range within [low, high]."""
-    if not low <= value[0] <= value[1] <= high:
-        raise ValueError(f"{name}: {value} is not a range (smallest, largest) within [{low:g}, {high:g}]")
+def check_limits(settings: object, low: float, high: float, *names: str) -> None:
+    """Raise ValueError, naming the field, unless these fields are numbers, or ranges of two numbers, in [low, high]."""
+    for name in names:
+        value = getattr(settings, name)
+        smallest, largest = np.broadcast_to(value, 2)
+        if not low <= smallest <= largest <= high:
+            what = "a number, or a range (smallest, largest)," if np.ndim(value) else "a number"
+            raise ValueError(f"{type(settings).__name__}.{name}: {value} is not {what} within [{low:g}, {high:g}]")
 
 
 def draw(rng: np.random.Generator, limits: Limits) -> float:

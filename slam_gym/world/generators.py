@@ -73,15 +73,12 @@ class _Building:
     wall_thickness: float = 0.2  # [m]
 
     def __post_init__(self) -> None:
-        name = type(self).__name__
-        if not 1 <= self.rooms <= 200:
-            raise ValueError(f"{name}.rooms: {self.rooms} is not in 1 … 200")
-        check_limits(f"{name}.door_width", self.door_width, _MIN_DOOR, 5.0)
-        check_limits(f"{name}.wall_thickness", (self.wall_thickness,) * 2, 0.05, 1.0)
-        check_limits(f"{name}.corridor_width", self.corridor_width, 1.5, 20.0)
+        check_limits(self, 1, 200, "rooms")
+        check_limits(self, _MIN_DOOR, 5.0, "door_width")
+        check_limits(self, 0.05, 1.0, "wall_thickness")
+        check_limits(self, 1.5, 20.0, "corridor_width")
         smallest = 1.25 * (self.door_width[1] + 2 * _JAMB)  # a row may be shortened to 0.8 of its length
-        check_limits(f"{name}.room_width", self.room_width, smallest, 50.0)
-        check_limits(f"{name}.room_depth", self.room_depth, smallest, 50.0)
+        check_limits(self, smallest, 50.0, "room_width", "room_depth")
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class OfficeGenerator(_Building):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_limits("OfficeGenerator.joined", (self.joined,) * 2, 0.0, 1.0)
+        check_limits(self, 0.0, 1.0, "joined")
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)
@@ -172,8 +169,7 @@ class HallGenerator:
     )
 
     def __post_init__(self) -> None:
-        for name in ("length", "width"):
-            check_limits(f"HallGenerator.{name}", getattr(self, name), 2.0, 500.0)
+        check_limits(self, 2.0, 500.0, "length", "width")
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)
@@ -192,9 +188,9 @@ class LoopGenerator:
     contents: Contents = field(default_factory=lambda: Contents(pilasters=0.1, pillars=0.0, furniture=0.0))
 
     def __post_init__(self) -> None:
-        check_limits("LoopGenerator.corridor_width", self.corridor_width, 1.5, 20.0)
-        for name in ("length", "width"):  # a block as wide as a corridor is left in the middle
-            check_limits(f"LoopGenerator.{name}", getattr(self, name), 3.0 * self.corridor_width[1], 500.0)
+        check_limits(self, 1.5, 20.0, "corridor_width")
+        # a block as wide as a corridor is left in the middle
+        check_limits(self, 3.0 * self.corridor_width[1], 500.0, "length", "width")
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)

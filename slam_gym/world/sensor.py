@@ -89,25 +89,18 @@ class Sensor:
     """
 
     def __init__(
-        self,
-        plan: FloorPlan,
-        walls: Packed,
-        sensor: SensorSpec | None = None,
-        beams: BeamSpec | None = None,
-        odometry: OdometrySpec | None = None,
+        self, plan: FloorPlan, walls: Packed, sensor: SensorSpec, beams: BeamSpec, odometry: OdometrySpec
     ) -> None:
-        self.spec = sensor or SensorSpec()
-        self.beam_spec = beams or BeamSpec()
-        self.odometry_spec = odometry or OdometrySpec()
-        self._settings = tuple(map(float, astuple(self.spec)))
-        self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
-        self._wheels = tuple(map(float, astuple(self.odometry_spec)))
+        self.spec, self.beam_spec = sensor, beams
+        self._settings = tuple(map(float, astuple(sensor)))
+        self._finder = (float(beams.range), float(beams.sigma))
+        self._wheels = tuple(map(float, astuple(odometry)))
         self._walls = walls
         self._kinds = plan.features.kinds
         self._targets = plan.features.positions, pull_back(plan.features)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
-        part = self.beam_spec.field_of_view / self.beam_spec.count
-        self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
+        part = beams.field_of_view / beams.count
+        self._bearings = part * (np.arange(beams.count, dtype=np.float64) + 0.5 * (1 - beams.count))
 
     def scan(self, pose: Array, rng: np.random.Generator, moving: Moving = NOTHING) -> tuple[Scan, Truth]:
         """One scan from `pose`: measurements by rising bearing, including spurious ones.

@@ -29,7 +29,7 @@ def plan_with(positions, sizes=None, kinds=None, furniture=(), inner=()):
 
 
 def sensor_in(plan, spec=CLEAN, beams=None, odometry=None):
-    return Sensor(plan, wall_index(plan.walls), spec, beams, odometry)
+    return Sensor(plan, wall_index(plan.walls), spec, beams or BeamSpec(), odometry or OdometrySpec())
 
 
 def scattered(seed=0, count=60):
