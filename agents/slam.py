@@ -32,7 +32,7 @@ def main(
     from agents.evaluation.tables import counted
     from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import plot_map, plot_path
-    from slam_gym.scenarios.registry import slam_for
+    from slam_gym.scenarios import slam_for
     from slam_gym.simulation.judged import CEILING
     from slam_gym.types import UNLABELLED
 

@@ -23,7 +23,7 @@ from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.recordings import Recording
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array, IntArray, Truth

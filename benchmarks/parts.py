@@ -18,7 +18,7 @@ from agents.evaluation.mapped_log import MappedLog, associations, map_log, smoot
 from benchmarks.common import options, published, table
 from slam_gym.geometry import relative
 from slam_gym.recordings.recording import Recording
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.slam.relocate import SEARCH
 

@@ -30,7 +30,7 @@ from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.recording import Recording
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.surveyed_field import features_in_view

@@ -27,7 +27,7 @@ from benchmarks.common import options, table
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.metrics.map_quality import ate
 from slam_gym.recordings.recording import Recording, starts_of
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import CEILING
 from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import SPURIOUS, Array, Scan

@@ -23,7 +23,8 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slam_gym
-from slam_gym.scenarios import SCENARIOS, Scenario, registry
+from slam_gym import scenarios
+from slam_gym.scenarios import SCENARIOS, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS
 
 ROOT = Path(__file__).parents[1]
@@ -216,7 +217,7 @@ def _worlds(scenario: Scenario) -> str:
 
 def _about(scenario: Scenario) -> str:
     """The comment above its entry in the registry; empty if there is none."""
-    found = re.search(rf'# (.+)\n\s*\w+\(\s*"{scenario.name}",', inspect.getsource(registry))
+    found = re.search(rf'# (.+)\n\s*\w+\(\s*"{scenario.name}",', inspect.getsource(scenarios))
     return found[1] if found else ""
 
 

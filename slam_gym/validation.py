@@ -79,7 +79,7 @@ class Checked:
     """
 
     def __post_init__(self) -> None:
-        kind, types = type(self).__name__, _types_of(cast(Any, type(self)))
+        kind, types = type(self).__name__, types_of(cast(Any, type(self)))
         for name, (least, greatest) in LIMITS[kind].items():
             value, is_whole = getattr(self, name), int in types[name]
             if value is None and NoneType in types[name]:
@@ -91,9 +91,10 @@ class Checked:
 
 
 @functools.cache
-def _types_of(settings: type) -> dict[str, tuple[Any, ...]]:
-    """The types that each field of settings may have."""
-    return {name: get_args(hint) or (hint,) for name, hint in get_type_hints(settings).items()}
+def types_of(settings: type[Any]) -> dict[str, tuple[Any, ...]]:
+    """The types that each field of a dataclass may have: two if one of them is None."""
+    hints = get_type_hints(settings)
+    return {name: get_args(hint) if NoneType in get_args(hint) else (hint,) for name, hint in hints.items()}
 
 
 def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:

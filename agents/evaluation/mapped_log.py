@@ -31,7 +31,7 @@ from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
 from slam_gym.recordings import open_recordings
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by

@@ -7,15 +7,15 @@ import json
 import math
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from types import NoneType
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, cast
 
 import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.validation import Checked, known_names, one_of
+from slam_gym.validation import Checked, known_names, one_of, types_of
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
@@ -27,7 +27,6 @@ Plain = bool | int | float | str | None
 """The values that an override may have: those of JSON without lists and objects."""
 
 _PLAIN = (bool, int, float, str)
-_Record = TypeVar("_Record")
 
 
 @dataclass(frozen=True)
@@ -57,11 +56,6 @@ class Scenario(Checked):
     grid_resolution: float = 0.2  # [m] side of a cell of the explored grid
     wall_compass: bool = False  # whether straight walls in view correct odometry
     kidnapping: KidnappingSpec | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.budget, int):
-            raise ValueError(f"Scenario.budget={self.budget}: expected a whole number of ticks")
-        super().__post_init__()
 
 
 def world_seed(split: str, index: int) -> int:
@@ -95,7 +89,8 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
         if not (value is None or isinstance(value, _PLAIN)):
             found = reprlib.repr(value)
             raise ValueError(f"override {name!r}: expected a bool, a number, a string or None, got {found}")
-    return _changed(scenario, overrides, "")
+    changed: Scenario = _changed(scenario, overrides, "")
+    return changed
 
 
 def parse_override(text: str) -> tuple[str, Plain]:
@@ -113,10 +108,11 @@ def parse_override(text: str) -> tuple[str, Plain]:
     return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
 
 
-def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _Record:
+def _changed(record: Any, overrides: Mapping[str, Plain], prefix: str) -> Any:
     """The dataclass `record`, whose dotted name is `prefix`, with the fields changed that `overrides` name."""
-    hints = get_type_hints(type(record))
-    known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
+    types = types_of(cast(Any, type(record)))
+    parts = {name: _part(getattr(record, name), types[name]) for name in types}
+    known = [name for name in types if parts[name] is not None or any(kind in _PLAIN for kind in types[name])]
     below: dict[str, dict[str, Plain]] = {}  # overrides within each field; "" stands for the field itself
     for name, value in overrides.items():
         first, _, rest = name.partition(".")
@@ -126,38 +122,29 @@ def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _R
         if name not in known:
             where = f" in {prefix[:-1]!r}" if prefix else ""
             raise ValueError(f"override {prefix + name!r}: there is no such field{where}; {known_names(name, known)}")
-        old = getattr(record, name)
         if "" in inner and len(inner) > 1:
             raise ValueError(f"override {prefix + name!r}: is given a value and fields")
         if "" in inner:
-            values[name] = _checked(prefix + name, inner[""], hints[name])
-        elif (start := old if is_dataclass(old) else _dataclass_of(hints[name])) is None:
+            values[name] = _checked(prefix + name, inner[""], types[name])
+        elif parts[name] is None:
             raise ValueError(f"override {prefix + name!r}: has no fields")
         else:
-            values[name] = _changed(start() if isinstance(start, type) else start, inner, f"{prefix}{name}.")
+            values[name] = _changed(parts[name], inner, f"{prefix}{name}.")
     try:
-        return replace(record, **values)  # type: ignore[type-var]
+        return replace(record, **values)
     except ValueError as error:
         names = ", ".join(prefix + name for name in values)
         raise ValueError(f"override of {names}: {error}") from None
 
 
-def _types(hint: Any) -> tuple[Any, ...]:
-    """The alternatives of the type annotation `hint`."""
-    return get_args(hint) if NoneType in get_args(hint) else (hint,)
+def _part(value: Any, types: tuple[Any, ...]) -> Any:
+    """The dataclass in a field: its value, or the defaults of a dataclass among its `types`; None where it has none."""
+    kinds = (kind for kind in types if isinstance(kind, type) and is_dataclass(kind))
+    return value if is_dataclass(value) else next((kind() for kind in kinds), None)
 
 
-def _dataclass_of(hint: Any) -> type[Any] | None:
-    return next((kind for kind in _types(hint) if isinstance(kind, type) and is_dataclass(kind)), None)
-
-
-def _can_change(value: Any, hint: Any) -> bool:
-    return is_dataclass(value) or _dataclass_of(hint) is not None or any(kind in _PLAIN for kind in _types(hint))
-
-
-def _checked(name: str, value: Plain, hint: Any) -> Plain:
-    """The value with the type of the annotation; an integer is accepted for a float. Raises ValueError for others."""
-    types = _types(hint)
+def _checked(name: str, value: Plain, types: tuple[Any, ...]) -> Plain:
+    """The value as one of the `types`; an integer is accepted for a float. Raises ValueError for others."""
     if value is None and NoneType in types:
         return None
     whole = type(value) is int and abs(value) < 1 << 63  # larger ones do not fit into arrays
@@ -167,6 +154,6 @@ def _checked(name: str, value: Plain, hint: Any) -> Plain:
             return kind(value)  # type: ignore[arg-type]
     words = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string", NoneType: "None"}
     wanted = [words[kind] for kind in types if kind in words]
-    if _dataclass_of(hint) is not None or not wanted:
+    if not words.keys() >= set(types):
         wanted.append(f"the name of a field in it, {name}.…")
     raise ValueError(f"override {name!r}: expected {' or '.join(wanted)}, got {reprlib.repr(value)}")

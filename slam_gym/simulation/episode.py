@@ -30,7 +30,7 @@ from slam_gym.types import Array, BoolArray, Hypothesis
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import Packed, wall_index
-from slam_gym.world.reachability import free_start, observable, reachable
+from slam_gym.world.reachability import free_cells, free_start, observable, reachable
 from slam_gym.world.sensor import Sensor
 
 _GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
@@ -50,7 +50,7 @@ class Site:
 def survey(plan: FloorPlan, scenario: Scenario) -> Site:
     """Compute the reachable cells and observable features of a plan. Raises ValueError if there are none of either."""
     index = wall_index(plan.walls)
-    cells = reachable(plan, scenario.robot.radius)
+    cells = reachable(plan, free_cells(plan, scenario.robot.radius))
     if len(cells) == 0:
         what = f"no free space for a robot of radius {scenario.robot.radius} m inside closed outer walls"
         raise ValueError(f"floor plan {plan.name!r}: {what}")

@@ -22,8 +22,7 @@ import numpy as np
 from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import ROBOTS
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.scenarios import SPLITS
-from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios import SPLITS, slam_for
 from slam_gym.simulation.association_runs import ScanLog
 from slam_gym.types import Array, Odometry, Scan, Truth
 from slam_gym.validation import one_of

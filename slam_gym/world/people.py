@@ -8,12 +8,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import Packed, WallGrid, box_distance, outlines, sees, wall_index
-from slam_gym.world.reachability import free_cells, indoor
+from slam_gym.world.reachability import free_cells, reachable
 
 _CLEARANCE = 0.02  # [m] from walls
 _MARGIN = 0.1  # [m] kept from furniture and other people
@@ -32,14 +33,7 @@ class People:
     """
 
     def __init__(
-        self,
-        plan: FloorPlan,
-        count: int,
-        radius: float,
-        speed: float,
-        keep: float,
-        robot: Array,
-        rng: np.random.Generator,
+        self, plan: FloorPlan, count: int, radius: float, speed: float, keep: float, robot: Array, rng: Generator
     ) -> None:
         self.discs = np.empty((0, 3))  # (p, 3) [m] x y radius, W
         self.velocities = np.zeros((count, 2))  # [m/s] W, during the present tick
@@ -54,7 +48,7 @@ class People:
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
-    def walk(self, tick: float, robot: Array, furniture: Array, rng: np.random.Generator) -> None:
+    def walk(self, tick: float, robot: Array, furniture: Array, rng: Generator) -> None:
         """Walk for one `tick` [s] among the `robot` (2,) [m] W and `furniture` (f, 5)."""
         if len(self.discs) == 0:
             return
@@ -63,9 +57,9 @@ class People:
             for person in np.flatnonzero(self._ahead[:, 0] >= self._ahead[:, 1]):
                 self._plan_stroll(int(person), rng)
 
-    def _places(self, plan: FloorPlan, count: int, radius: float, robot: Array, rng: np.random.Generator) -> Array:
+    def _places(self, plan: FloorPlan, count: int, radius: float, robot: Array, rng: Generator) -> Array:
         """The first positions of people: discs (count, 3)."""
-        centres = indoor(plan, self._cells)
+        centres = reachable(plan, self._cells)
         centres = centres[np.hypot(*(centres - robot).T) >= _START_DISTANCE]
         discs = np.empty((0, 3))
         for x, y in centres[rng.permutation(len(centres))]:
@@ -75,7 +69,7 @@ class People:
                 return discs
         raise ValueError(f"floor plan {plan.name!r} has room for {len(discs)} people, not for {count}")
 
-    def _plan_stroll(self, person: int, rng: np.random.Generator) -> None:
+    def _plan_stroll(self, person: int, rng: Generator) -> None:
         choice, rest = rng.random(2)
         last = self._passed[person]  # a person who turns back passes it again
         path = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, choice)

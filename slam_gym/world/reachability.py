@@ -51,19 +51,13 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25) -> FreeCells:
     return FreeCells(free, origin, cell)
 
 
-def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
+def reachable(plan: FloorPlan, cells: FreeCells) -> Array:
     """(c, 2) [m] W: centres of the free cells of the largest connected part of the plan's rooms.
 
     Cells are connected through their sides. The size of a part is the number of its cells within rooms, so that the
     open ground around a building is never chosen; where a plan names no rooms, every part but the ground around it
-    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free. Raises
-    ValueError unless both lengths [m] are positive.
+    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free.
     """
-    return indoor(plan, free_cells(plan, radius, cell))
-
-
-def indoor(plan: FloorPlan, cells: FreeCells) -> Array:
-    """(c, 2) [m] W: centres of the free cells of the largest connected part, as `reachable` defines it."""
     parts = ndimage.label(cells.free)[0].ravel()  # 0 where not free
     flat = np.flatnonzero(parts)
     labels, centres = parts[flat], cells.centres(flat)

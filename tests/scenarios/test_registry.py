@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym import scenarios
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose, relative
 from slam_gym.recordings import Recording
-from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
-from slam_gym.scenarios.registry import DRIFT, LOG_SETTINGS, MRCLAM, VICTORIA_PARK, floor_budget, slam_for
+from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, floor_budget, from_floor_plan, get_scenario, register
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
 from slam_gym.simulation.episode import survey
 from slam_gym.world.floor_plan import Features, FloorPlan
@@ -53,7 +53,7 @@ def test_a_user_s_scenario_is_found_by_its_name(monkeypatch) -> None:
 
 
 def test_a_scenario_in_a_user_s_module_is_found_through_the_module(monkeypatch, tmp_path) -> None:
-    monkeypatch.setattr("slam_gym.scenarios.registry.SCENARIOS", dict(SCENARIOS))
+    monkeypatch.setattr("slam_gym.scenarios.SCENARIOS", dict(SCENARIOS))
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "my_halls.py").write_text(
         "from dataclasses import replace\nfrom slam_gym.scenarios import get_scenario, register\n"
@@ -79,7 +79,7 @@ WORLDS = {(scenario.generator, scenario.sensor.range): scenario for scenario in 
 def test_worlds_are_reproducible_differ_and_can_be_explored(scenario, split) -> None:
     drawn = []
     for index in (0, 1, SPLITS[split][1] - 1):
-        first, again = (scenario.generator(np.random.default_rng(world_seed(split, index))) for _ in range(2))
+        first, again = (scenario.generator(np.random.default_rng(scenarios.world_seed(split, index))) for _ in range(2))
         np.testing.assert_array_equal(first.walls, again.walls)
         np.testing.assert_array_equal(first.features.positions, again.features.positions)
         assert all(p.walls.shape != first.walls.shape or not np.array_equal(p.walls, first.walls) for p in drawn)
@@ -144,7 +144,7 @@ def test_each_level_loses_more_of_its_way_than_the_one_before() -> None:
     site = survey(scenario.generator(np.random.default_rng(0)), scenario)
     way = Motion(moved=np.array([0.1, 0.0, 0.05]), wheels=np.array([0.1, 0.0, 0.05]), contact=False)
     lost = []
-    for wheels in (OdometrySpec(), *DRIFT.values()):
+    for wheels in (OdometrySpec(), *scenarios.DRIFT.values()):
         sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, wheels)
         rng, errors = np.random.default_rng(1), []
         for _ in range(100):
@@ -170,14 +170,14 @@ def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        ("victoria_park", VICTORIA_PARK),
-        ("mrclam/MRCLAM_Dataset6/robot3", MRCLAM),
-        ("mine", LOG_SETTINGS),
-        ("mine/mrclam", LOG_SETTINGS),
+        ("victoria_park", scenarios.VICTORIA_PARK),
+        ("mrclam/MRCLAM_Dataset6/robot3", scenarios.MRCLAM),
+        ("mine", scenarios.LOG_SETTINGS),
+        ("mine/mrclam", scenarios.LOG_SETTINGS),
     ],
 )
 def test_the_first_part_of_the_name_decides(name, settings) -> None:
-    assert slam_for(replace(Recording(**by_hand()), name=name)) == settings
+    assert scenarios.slam_for(replace(Recording(**by_hand()), name=name)) == settings
 
 
 # --- the levels of the association suite: frozen settings, each sweep turning one knob --------------------------------

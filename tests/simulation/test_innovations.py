@@ -13,8 +13,7 @@ import pytest
 
 from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.scenarios import Scenario, get_scenario, world_generator
-from slam_gym.scenarios.registry import DRIFT
+from slam_gym.scenarios import DRIFT, Scenario, get_scenario, world_generator
 from slam_gym.simulation.episode import Episode, survey
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import UNPAIRED

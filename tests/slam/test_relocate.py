@@ -9,7 +9,7 @@ from slam_gym.geometry import compose, observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.scenarios.registry import LOG_SETTINGS
+from slam_gym.scenarios import LOG_SETTINGS
 from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan

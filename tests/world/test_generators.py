@@ -9,7 +9,7 @@ from slam_gym.world.draft import Contents, outline
 from slam_gym.world.floor_plan import Kind
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, LoopGenerator, OfficeGenerator
 from slam_gym.world.ray_casting import outlines, wall_index
-from slam_gym.world.reachability import observable, reachable
+from slam_gym.world.reachability import free_cells, observable, reachable
 from tests.oracles.statistics import for_seeds
 
 RADIUS = 0.2  # [m] of the robot
@@ -37,7 +37,7 @@ def draw(generator, seed=0):
 def test_every_room_can_be_driven_to_around_the_furniture(generator):
     plan = draw(generator)
     obstructed = dataclasses.replace(plan, walls=np.vstack([plan.walls, outlines(plan.furniture)]))
-    cells = reachable(obstructed, RADIUS, 0.1)
+    cells = reachable(obstructed, free_cells(obstructed, RADIUS, 0.1))
     for room in plan.rooms:
         assert np.hypot(*(cells - room.polygon.mean(axis=0)).T).min() < 0.15, room.name
     for door in plan.doors:
@@ -55,7 +55,7 @@ def test_features_sit_on_the_walls_and_can_be_seen(generator):
     for position, size in zip(features.positions[pillar], features.sizes[pillar]):
         on_it = np.isclose(np.hypot(*(ends - position).T), size / 2, atol=1e-9)
         assert np.count_nonzero(on_it) == 16  # the two ends of each side of an octagon
-    assert observable(plan, wall_index(plan.walls), reachable(plan, RADIUS), 6.0).all()
+    assert observable(plan, wall_index(plan.walls), reachable(plan, free_cells(plan, RADIUS)), 6.0).all()
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -5,13 +5,13 @@ import gzip
 import numpy as np
 import pytest
 
-from slam_gym.scenarios.registry import SCENARIOS, floor_budget
+from slam_gym.scenarios import SCENARIOS, floor_budget
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import FloorPlanError, Kind
 from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.raster import from_raster, thinned
-from slam_gym.world.reachability import reachable
+from slam_gym.world.reachability import free_cells, reachable
 from tests.world.test_floor_plan_file import PIXEL, blank
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `maps`")
@@ -63,7 +63,8 @@ def test_a_drawn_office_gives_back_its_rooms_doors_and_corners(seed, labelled):
     apart = 0.3 + 1.5 * PIXEL  # corners closer than 0.3 m are represented by one of them
     blocks = truth.features.sizes < 0.45  # pilasters, of which these images were drawn without
     assert matched(truth.features.positions[~blocks], plan.features.positions, apart) > 0.98
-    assert len(reachable(plan, 0.2)) == pytest.approx(len(reachable(truth, 0.2)), rel=0.04)
+    found, true = (len(reachable(each, free_cells(each, 0.2))) for each in (plan, truth))
+    assert found == pytest.approx(true, rel=0.04)
     if not labelled:
         assert len(plan.rooms) == 1 and not plan.doors
         return
@@ -110,7 +111,7 @@ def test_real_floors_can_be_driven(name, floors, data_dir):
     area = sum(room.area for room in plan.rooms)
     assert 0.86 * drawn < area < 1.01 * drawn  # two floors have wings that no door joins to the rest
     assert len(plan.rooms) >= 0.88 * (len(np.unique(images[1])) - 1)
-    cells = reachable(plan, 0.2)
+    cells = reachable(plan, free_cells(plan, 0.2))
     assert sum(room.area for room in plan.rooms if room.contains(cells).any()) >= 0.95 * area
     assert len(plan.doors) >= len(plan.rooms) - 15
     assert 0.06 < len(plan.features) / area < 0.3
@@ -121,7 +122,7 @@ def test_real_floors_can_be_driven(name, floors, data_dir):
 def test_willow_garage_can_be_driven(data_dir):
     plan = load_floor_plan(data_dir / "willow_garage" / "willow-full.pgm", 0.1)
     image = cv2.imread(str(data_dir / "willow_garage" / "willow-full.pgm"), cv2.IMREAD_GRAYSCALE)
-    cells = reachable(plan, 0.2, 0.1)
+    cells = reachable(plan, free_cells(plan, 0.2, 0.1))
     pixels = np.floor(np.stack([587 - cells[:, 1] / 0.1, cells[:, 0] / 0.1], axis=1)).astype(int)
     near = np.zeros(image.shape, dtype=np.uint8)
     near[pixels[:, 0], pixels[:, 1]] = 1

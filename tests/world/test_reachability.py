@@ -28,7 +28,7 @@ def two_rooms(gap, features=NO_FEATURES, furniture=()):
 
 def test_all_free_cells_of_a_room_and_nothing_else():
     plan = FloorPlan("room", rectangle(0, 0, 6, 4), NO_FEATURES, (room("room", 0, 0, 6, 4),))
-    cells = reachable(plan, 0.3, 0.2)
+    cells = reachable(plan, free_cells(plan, 0.3, 0.2))
     assert np.all((cells >= 0.3 - 1e-9) & (cells <= np.array([6, 4]) - 0.3 + 1e-9))
     assert len(cells) * 0.2**2 == pytest.approx(5.4 * 3.4, rel=0.1)
     assert len(np.unique(np.round(cells / 1e-6), axis=0)) == len(cells)
@@ -36,7 +36,8 @@ def test_all_free_cells_of_a_room_and_nothing_else():
 
 @pytest.mark.parametrize(("gap", "width"), [(0.9, 10), (0.7, 10), (0.35, 6), (0.0, 6)])
 def test_the_robot_fits_through_a_door_or_stays_in_the_larger_room(gap, width):
-    cells = reachable(two_rooms(gap), 0.2)
+    plan = two_rooms(gap)
+    cells = reachable(plan, free_cells(plan, 0.2))
     assert cells[:, 0].min() < 0.5 and width - 0.5 < cells[:, 0].max() < width
 
 
@@ -46,8 +47,8 @@ def test_the_ground_around_a_building_never_counts():
     walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
     with_rooms = FloorPlan("L", walls, NO_FEATURES, (Room("L", corners),))
     without = FloorPlan("L", walls, NO_FEATURES)
-    np.testing.assert_array_equal(reachable(with_rooms, 0.2), reachable(without, 0.2))
-    cells = reachable(without, 0.2)
+    cells, same = (reachable(plan, free_cells(plan, 0.2)) for plan in (without, with_rooms))
+    np.testing.assert_array_equal(same, cells)
     assert Room("L", corners).contains(cells).all() and len(cells) * 0.25**2 > 80
 
 
@@ -61,20 +62,18 @@ def test_a_disc_can_move_straight_between_neighbouring_cells():
         cells = free_cells(plan, radius)
         assert cells.cell < 2 * radius
         centres = cells.centres(np.arange(cells.free.size)).reshape(*cells.free.shape, 2)
-        for here, there in (
-            (np.s_[:-1, :], np.s_[1:, :]),
-            (np.s_[:, :-1], np.s_[:, 1:]),
-        ):
+        for here, there in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
             both = cells.free[here] & cells.free[there]
             for a, b in zip(centres[here][both][::7], centres[there][both][::7]):
                 assert seen_from(index, a[None], b[None], np.zeros(1), np.inf, NOTHING)[0]
 
 
 def test_nothing_is_reachable_where_nothing_is_free():
-    cells = reachable(FloorPlan("crack", rectangle(0, 0, 5, 0.3), NO_FEATURES, (room("crack", 0, 0, 5, 0.3),)), 0.2)
+    plan = FloorPlan("crack", rectangle(0, 0, 5, 0.3), NO_FEATURES, (room("crack", 0, 0, 5, 0.3),))
+    cells = reachable(plan, free_cells(plan, 0.2))
     assert cells.shape == (0, 2)
     with pytest.raises(ValueError, match="'crack' has no free space"):
-        free_start(FloorPlan("crack", rectangle(0, 0, 5, 0.3), NO_FEATURES), cells, np.random.default_rng(0))
+        free_start(plan, cells, np.random.default_rng(0))
 
 
 def test_features_can_be_observed_from_reachable_cells_only():
@@ -83,7 +82,7 @@ def test_features_can_be_observed_from_reachable_cells_only():
     for gap, expected in ((0.9, [True, True, True, True, True]), (0.0, [True, True, False, False, True])):
         plan = two_rooms(gap, features)
         index = wall_index(plan.walls)
-        cells = reachable(plan, 0.2)
+        cells = reachable(plan, free_cells(plan, 0.2))
         seen = observable(plan, index, cells, 6.0)
         np.testing.assert_array_equal(seen, expected)
         back = pull_back(features)
@@ -99,7 +98,7 @@ def test_features_can_be_observed_from_reachable_cells_only():
 def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
     furniture = np.array([[3.0, 2.5, 2.0, 0.8, 0.4], [8.0, 1.0, 0.6, 0.6, 0.0]])
     plan, rng = two_rooms(0.9, furniture=furniture), np.random.default_rng(4)
-    cells = reachable(plan, 0.2)
+    cells = reachable(plan, free_cells(plan, 0.2))
     starts = np.array([free_start(plan, cells, rng) for _ in range(300)])
     index = wall_index(np.vstack([plan.walls, outlines(furniture)]))
     angles = np.linspace(-np.pi, np.pi, 120)
@@ -115,4 +114,4 @@ def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
 @pytest.mark.parametrize(("radius", "cell"), [(0.0, 0.25), (np.nan, 0.25), (0.2, 0.0), (0.2, np.inf)])
 def test_lengths_that_are_none_are_refused(radius, cell):
     with pytest.raises(ValueError, match="radius and cell must be positive"):
-        reachable(two_rooms(0.9), radius, cell)
+        free_cells(two_rooms(0.9), radius, cell)

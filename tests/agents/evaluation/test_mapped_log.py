@@ -27,7 +27,7 @@ from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.scenarios.registry import MRCLAM, VICTORIA_PARK
+from slam_gym.scenarios import MRCLAM, VICTORIA_PARK
 from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.agents.evaluation import SPEC
 from tests.recordings import drive
