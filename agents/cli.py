@@ -1,6 +1,8 @@
 """Shared code of the commands: typer commands whose groups of options are dataclasses, and running an evaluation."""
 
+import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import fields, is_dataclass
 from functools import partial
 from inspect import Parameter, Signature, signature
@@ -10,20 +12,21 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from agents.options import Execution
-from slam_gym.__main__ import ended
 
 if TYPE_CHECKING:
     from agents.evaluation.pipeline import Evaluation
 
+_LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
+
 
 def command(
-    function: Callable[..., int | None], example: str, name: str | None = None, app: typer.Typer | None = None
+    name: str, function: Callable[..., int | None], example: str, app: typer.Typer | None = None
 ) -> typer.Typer:
-    """The typer app of a function, as in `app = command(main, "slam-gym …")`, with an example at the end of its help.
+    """The typer app of a function, or the given `app` of several; `example` are options, shown at the end of its help.
 
-    With `name` and `app`, the function becomes one of several commands of that app. A parameter that is a dataclass,
-    such as `ExploreWorld`, is replaced by options for its fields. An option with several values takes them in a row,
-    as in `--agents random learned`. Invalid input ends with one line of text and exit code 2.
+    A parameter that is a dataclass, such as `ExploreWorld`, is replaced by options for its fields. An option with
+    several values takes them in a row, as in `--agents random learned`. Invalid input ends with one line of text and
+    exit code 2.
     """
     groups: dict[str, Any] = {}
     parameters: list[Parameter] = []
@@ -41,8 +44,10 @@ def command(
 
     options = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in parameters]
     call.__signature__ = Signature(options)  # type: ignore[attr-defined]
+    path = f"{app.info.name} {name}" if app else name
     app = app or typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(name, help=function.__doc__, epilog=f"Example: {example}", cls=_SeveralValues)(call)
+    epilog = f"Example: slam-gym {path} {example}"
+    app.command(name, help=function.__doc__, epilog=epilog, cls=_SeveralValues)(call)
     return app
 
 
@@ -59,6 +64,30 @@ class _SeveralValues(typer.core.TyperCommand):
                 expanded.append(option)  # a further value
             expanded.append(word)
         return super().parse_args(ctx, expanded)
+
+
+def ended(command: Callable[[], int | None]) -> int | None:
+    """The result of a command. Bad input, a missing package, a full disk or a killed worker end the process with one
+    line on stderr and exit code 2; Ctrl-C ends it with 130. An error in a user's associator keeps its traceback."""
+    try:
+        return command()
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "slam_gym", "agents"):
+            raise
+        extra = "learn" if missing in _LEARNING else "minari" if missing == "minari" else "agents"
+        reason = f"{missing} is missing: pip install 'slam_gym[{extra}]'"
+    except BrokenProcessPool:
+        reason = "a worker process was killed, perhaps for want of memory: --resume goes on with what is left"
+    except (ValueError, ImportError, OSError) as error:
+        if hasattr(error, "__notes__"):  # it says whose function has failed
+            raise
+        reason = str(error)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise typer.Exit(130) from None
+    print(f"error: {reason}", file=sys.stderr)
+    raise typer.Exit(2)
 
 
 def evaluate(

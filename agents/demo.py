@@ -89,7 +89,7 @@ def main(
     print(f"next: slam-gym evaluate-association --scenario {scenario} --associators {' '.join(names)} --episodes 4")
 
 
-app = command(main, "slam-gym demo --associators jcbb ipjc --output mine.png")
+app = command("demo", main, "--associators jcbb ipjc --output mine.png")
 
 if __name__ == "__main__":
     app()

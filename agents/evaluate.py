@@ -39,7 +39,7 @@ def main(
         print(f"next: --episodes 40 for intervals that tell drivers apart; open {out / 'report.html'}")
 
 
-app = command(main, "slam-gym evaluate --scenario office drift-2 --agents nearest_frontier learned --episodes 10")
+app = command("evaluate", main, "--scenario office drift-2 --agents nearest_frontier learned --episodes 10")
 
 if __name__ == "__main__":
     app()

@@ -103,7 +103,7 @@ def _check_options_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) 
                 raise ValueError(f"--{option} {meant}{instead}")
 
 
-app = command(main, "slam-gym evaluate-association --scenario drift-2 --associators jcbb learned --episodes 4")
+app = command("evaluate-association", main, "--scenario drift-2 --associators jcbb learned --episodes 4")
 
 if __name__ == "__main__":
     app()

@@ -96,7 +96,7 @@ def with_tables(page: str, tables: str) -> str:
     return f"{before}{begin}\n\n{tables}\n\n{end}{after}"
 
 
-app = command(main, "slam-gym leaderboard --entry jcbb --quick")
+app = command("leaderboard", main, "--entry jcbb --quick")
 
 if __name__ == "__main__":
     app()

@@ -216,7 +216,7 @@ def main(
         window.close()
 
 
-app = command(main, "slam-gym play --scenario office-small --associator jcbb")
+app = command("play", main, "--scenario office-small --associator jcbb")
 
 if __name__ == "__main__":
     app()

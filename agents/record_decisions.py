@@ -87,7 +87,7 @@ def main(
     print(f'data set: minari.load_dataset("{name}")')
 
 
-app = command(main, "slam-gym record-decisions --scenario drift-2 --associator learned --episodes 20")
+app = command("record-decisions", main, "--scenario drift-2 --associator learned --episodes 20")
 
 if __name__ == "__main__":
     app()

@@ -15,7 +15,7 @@ def main(folder: Annotated[Path, Argument(metavar="DIR", help="The folder of an 
     print(write_report(folder))
 
 
-app = command(main, "slam-gym report results/office-20260101-120000")
+app = command("report", main, "results/office-20260101-120000")
 
 if __name__ == "__main__":
     app()

@@ -54,7 +54,7 @@ def compared(trained: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str
     return lines, outside
 
 
-app = command(main, "slam-gym reproduce associator --quick")
+app = command("reproduce", main, "associator --quick")
 
 if __name__ == "__main__":
     app()

@@ -24,7 +24,7 @@ def main(
     relocation: Search = None,
     output: Annotated[Path, Option(metavar="DIR", help="Folder of the files.")] = Path("."),
 ) -> None:
-    """Map a log: features, path, picture. Raises ValueError for true associations of a log without identities."""
+    """SLAM on your own log: map, path, picture. With true_association, the log must have identities."""
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -73,7 +73,7 @@ def main(
         print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))
 
 
-app = command(main, "slam-gym slam mine.csv --associator learned --output mapped")
+app = command("slam", main, "mine.csv --associator learned --output mapped")
 
 if __name__ == "__main__":
     app()

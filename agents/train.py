@@ -8,7 +8,7 @@ import shlex
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from typer import Option
+from typer import Option, Typer
 
 from agents.cli import command
 from agents.options import AssociateWorld, ExploreWorld, Training
@@ -59,8 +59,9 @@ def associate(
           f"  slam-gym evaluate-association --associators jcbb marginal {weights} {where}")  # fmt: skip
 
 
-app = command(drive, "slam-gym train drive --scenario office-small --timesteps 50000 --output runs/mine", "drive")
-command(associate, "slam-gym train associate --quick --output runs/mine", "associate", app)
+app = Typer(name="train", help="Train a driver or an associator.", add_completion=False, pretty_exceptions_enable=False)
+command("drive", drive, "--scenario office-small --timesteps 50000 --output runs/mine", app)
+command("associate", associate, "--quick --output runs/mine", app)
 
 if __name__ == "__main__":
     app()

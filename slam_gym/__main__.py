@@ -9,56 +9,42 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeVar
+from typing import Literal
 
 import typer
-from typer.main import get_command
 
 import slam_gym
 
 _INSTALLED = Path(__file__).parent / "shipped"  # folder that contains `agents` in a wheel
 _CHECKOUT = Path(__file__).parents[1]  # … and in a checkout
 _MUCH = 500  # [MB] of compiled loops: more than one version of the package creates
-_LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
 
-COMMANDS: dict[str, str] = {
-    "demo": "One drive on bad wheels, mapped by two associators: a picture.",
-    "slam": "SLAM on your own log: map, path, picture.",
-    "evaluate": "Drivers on the same test worlds: table, report, films.",
-    "evaluate-association": "Associators in the same test worlds, over the suite, or on logs.",
-    "train": "A driver or an associator by reinforcement learning.",
-    "record-decisions": "An associator's decisions, as a Minari data set.",
-    "leaderboard": "Run an entry through the frozen protocol, and rank it.",
-    "reproduce": "Train the shipped weights from scratch.",
-    "report": "Write the report of a finished evaluation again.",
-    "play": "Drive with the keyboard.",
-}
-"""The commands of `agents` and their summaries. Each is the `app` of the module of that name."""
-
+COMMANDS = (
+    "demo", "slam", "evaluate", "evaluate-association", "train", "record-decisions", "leaderboard", "reproduce",
+    "report", "play",
+)  # fmt: skip
+"""The commands of `agents`. Each is in the `app` of the module of that name."""
 
 Topic = Literal["scenarios", "associators", "relocators", "drivers", "recordings"]
 """Topics of `slam-gym list`."""
 
 
-class _Commands(typer.core.TyperGroup):
-    """The command group. It imports a command of `agents` only when that is called or its options are shown."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        name, command, rest = super().resolve_command(ctx, args)
-        if name in COMMANDS:
-            _find_agents()
-            if "" not in sys.path:
-                sys.path.append("")  # as with `python -m`: "mymodule:MyDriver" is found in the current directory
-            module = ended(lambda: importlib.import_module(f"agents.{name.replace('-', '_')}"))
-            command = get_command(module.app)
-        return name, command, rest
+def _find_agents() -> None:
+    """Put the folder that contains `agents` first on the path of this process and of its child processes, and the
+    current folder last, as with `python -m`: "mymodule:MyDriver" is found there."""
+    folder = str(_INSTALLED if (_INSTALLED / "agents").is_dir() else _CHECKOUT)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+        previous = os.environ.get("PYTHONPATH")
+        os.environ["PYTHONPATH"] = os.pathsep.join([folder, *([previous] if previous else [])])
+    if "" not in sys.path:
+        sys.path.append("")
 
 
-app = typer.Typer(cls=_Commands, pretty_exceptions_enable=False)
+app = typer.Typer(pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True, no_args_is_help=True)
@@ -69,8 +55,9 @@ def about(version: bool = typer.Option(False, "--version", "-V", help="Show the 
         raise typer.Exit()
 
 
-for _name, _summary in COMMANDS.items():
-    app.command(_name, help=_summary)(lambda: None)
+_find_agents()
+for _name in COMMANDS:
+    app.add_typer(importlib.import_module(f"agents.{_name.replace('-', '_')}").app)
 
 
 @app.command("list", epilog="Example: slam-gym list scenarios")
@@ -80,7 +67,6 @@ def list_names(topic: Topic) -> None:
     from slam_gym.recordings import PUBLISHED
     from slam_gym.scenarios import SCENARIOS
 
-    _find_agents()
     drivers = importlib.import_module("agents.drivers.base").AGENTS
     names: dict[Topic, Iterable[str]] = {
         "associators": ASSOCIATORS,
@@ -155,45 +141,6 @@ def _data() -> str:
     folder = Path(os.environ[DATA])
     found = [name for name in PUBLISHED if (folder / name).is_dir()]
     return f"recordings: {DATA}={folder} ({', '.join(found) or 'none of ' + ', '.join(PUBLISHED)})"
-
-
-Result = TypeVar("Result")
-
-
-def ended(command: Callable[[], Result]) -> Result:
-    """The result of a command. Bad input, a missing package, a full disk or a killed worker end the process with one
-    line on stderr and exit code 2; Ctrl-C ends it with 130. An error in a user's associator keeps its traceback."""
-    try:
-        return command()
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing in ("", "slam_gym", "agents"):
-            raise
-        extra = "learn" if missing in _LEARNING else "minari" if missing == "minari" else "agents"
-        _end(f"{missing} is missing: pip install 'slam_gym[{extra}]'")
-    except BrokenProcessPool:
-        _end("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
-    except (ValueError, ImportError, OSError) as error:
-        if hasattr(error, "__notes__"):  # it says whose function has failed
-            raise
-        _end(str(error))
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise typer.Exit(130) from None
-
-
-def _end(error: str) -> NoReturn:
-    print(f"error: {error}", file=sys.stderr)
-    raise typer.Exit(2)
-
-
-def _find_agents() -> None:
-    """Put the folder that contains `agents` first on the path of this process and of its child processes."""
-    folder = _INSTALLED if (_INSTALLED / "agents").is_dir() else _CHECKOUT
-    if (folder / "agents" / "cli.py").is_file() and str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-        previous = os.environ.get("PYTHONPATH")
-        os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([previous] if previous else [])])
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import typer
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 import slam_gym
+from agents.cli import ended
 from slam_gym import __main__ as commands
 from tests.agents import typed
 
@@ -49,7 +50,7 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
     result = typed(commands.app, "report", "results")
     assert (result.exit_code, result.stderr) == (2, "error: pandas is missing: pip install 'slam_gym[agents]'\n")
     with pytest.raises(typer.Exit):
-        commands.ended(lambda: importlib.import_module("torch"))
+        ended(lambda: importlib.import_module("torch"))
     assert capsys.readouterr().err == "error: torch is missing: pip install 'slam_gym[learn]'\n"
 
 
@@ -58,7 +59,7 @@ def test_a_worker_that_was_killed_is_told_in_one_line(capsys):
         raise TerminatedWorkerError("exit codes of the workers are {SIGKILL(-9)}")
 
     with pytest.raises(typer.Exit) as end:
-        commands.ended(command)
+        ended(command)
     assert end.value.exit_code == 2 and capsys.readouterr().err.startswith("error: a worker process was killed")
 
 

@@ -23,7 +23,7 @@ def parsed(*words, group=ExploreWorld):
     def main(options: group, names: Annotated[list[str] | None, typer.Option()] = None, quick: bool = False) -> None:
         found.append((options, names, quick))
 
-    result = typed(command(main, "slam-gym try"), *words)
+    result = typed(command("try", main, ""), *words)
     assert result.exit_code == 0, result.output
     return found[0]
 
@@ -70,7 +70,7 @@ def test_what_ends_a_command_is_told_in_one_line(raised, code, said):
     def main(execution: Execution) -> None:
         raise raised
 
-    result = typed(command(main, "slam-gym try"))
+    result = typed(command("try", main, ""))
     assert result.exit_code == code and result.stderr.startswith(said) and result.stderr.count("\n") <= 1
 
 
