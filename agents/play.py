@@ -1,13 +1,9 @@
-"""`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`.
-
-A game has a keyboard, a window, and a world to drive in.
-"""
+"""`slam-gym play`: drive the robot yourself and watch its map grow, or watch an agent: `--agent NAME`."""
 
 from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,7 +21,6 @@ if TYPE_CHECKING:
     from agents.drivers.base import ActionKind, Agent, Info, Observation
     from agents.evaluation.episodes import ExploreArguments
     from slam_gym.association.prediction import Prediction
-    from slam_gym.rendering.canvas import Window
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
@@ -43,9 +38,6 @@ RIVAL = "information_gain"
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
 """The requests of the player, and their keys by pygame's names."""
 
-_BAR, _INK, _PALE = (28, 32, 38), (240, 240, 240), (170, 178, 188)
-_LINE = 18  # [pixels]
-
 
 class Controls:
     """The player's controls: the keys that are down, and requests."""
@@ -54,7 +46,7 @@ class Controls:
     action: ActionKind = "twist"
 
     def __init__(self) -> None:
-        import pygame  # extra `render`; the window delivers the keys
+        import pygame  # extra `render`; the window of the environment delivers the keys
 
         self._pygame = pygame
         directions = {(1, 0): ("UP", "w"), (-1, 0): ("DOWN", "s"), (0, 1): ("LEFT", "a"), (0, -1): ("RIGHT", "d")}
@@ -83,20 +75,6 @@ class Controls:
         return wish
 
 
-def show(window: Window, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
-    """Show the environment's picture (h, w, 3) in a window, and lines of text below it, the last one pale."""
-    from slam_gym.rendering.canvas import pygame, text  # extra `render`
-
-    height, width, _ = pixels.shape
-    surface = pygame.Surface((width, height + _LINE * (len(lines) + 1)), depth=32)
-    surface.fill(_BAR)
-    surface.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
-    for k, line in enumerate(lines):
-        colour = _PALE if k == len(lines) - 1 else _INK
-        surface.blit(text(line, 13, colour), (_LINE // 2, height + _LINE // 2 + k * _LINE))
-    window.show(surface)
-
-
 @dataclass
 class Game:
     """The settings of a game, including those that the player can switch while it runs."""
@@ -109,9 +87,9 @@ class Game:
     rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
 
     def make(self) -> gym.Env[Any, Any]:
-        """The environment, in which the player selects the associator, and switches relocation."""
-        associator = self.associate if self.associators else None
-        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
+        """The environment with its window, in which the player selects the associator, and switches relocation."""
+        switched = {"associator": self.associate} if self.associators else {}
+        return self.arguments.make(self.agent.action, render_mode="human", relocation=self.relocate, **switched)
 
     def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         from slam_gym.association import resolve_associator
@@ -146,28 +124,25 @@ class Game:
             f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
         )
 
-    def state(self, env: gym.Env[Any, Any]) -> str:
-        """A line about the present state."""
-        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
+    def state(self) -> str:
+        """What the player has chosen."""
         associator = self.associators[0] if self.associators else "true_association"
-        return (
-            f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
-            f"coverage {episode.coverage():.0%}   {associator}   relocation {'on' if self.relocating else 'off'}"
-        )
+        return f"{associator}, relocation {'on' if self.relocating else 'off'}"
 
 
-def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: int | None = None) -> str:
+def play(game: Game, env: gym.Env[Any, Any], world: int, steps: int | None = None) -> str:
     """Play one world; returns the request that ended it. After the last tick, the picture stays until a request."""
+    import pygame
+
     from agents.drivers.base import visible
     from agents.evaluation.episodes import begin_episode
 
     observation, info = begin_episode(env, game.agent, world)
-    ended, verdict = False, ""
+    if pygame.display.get_driver() in ("dummy", "offscreen"):
+        print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
+    verdict = ""
     for count in itertools.count():
-        picture: Any = env.render()
-        show(window, picture, [line for line in (game.state(env), verdict, KEYS) if line])
-        if count == 0 and not window.is_visible:
-            print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
+        pygame.display.set_caption(verdict or f"{game.state()}   ({KEYS})")
         if count == steps:
             return "quit"
         wish = game.controls.poll()
@@ -177,11 +152,13 @@ def play(game: Game, env: gym.Env[Any, Any], window: Window, world: int, steps: 
             game.relocating = not game.relocating
         elif wish is not None:
             return wish
-        if not ended:
-            observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
-            if ended:
-                verdict = game.verdict(world, info)
-                print(verdict)
+        if verdict:
+            env.render()  # at the frame rate
+            continue
+        observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
+        if ended:
+            verdict = game.verdict(world, info)
+            print(verdict)
 
 
 def main(
@@ -196,7 +173,6 @@ def main(
     """Drive the robot, or watch an agent drive."""
     from agents.drivers.base import make_agent
     from agents.evaluation.associators import SIMPLEST_FIRST
-    from slam_gym.rendering.canvas import Window
     from slam_gym.simulation.judged import CEILING
 
     watched = make_agent(agent or "ppo", model) if agent or model else None
@@ -204,16 +180,15 @@ def main(
     probe: Any = arguments.make("twist").unwrapped  # raises for unknown names; contains the scenario's associator
     names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
-    env, window = game.make(), Window("slam_gym", float(probe.metadata["render_fps"]))
+    env = game.make()
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
     wish, world = "again", seed
     try:
         while wish != "quit":
             world += wish == "next"
-            wish = play(game, env, window, world, steps)
+            wish = play(game, env, world, steps)
     finally:
         env.close()
-        window.close()
 
 
 app = command("play", main, "--scenario office-small --associator jcbb")

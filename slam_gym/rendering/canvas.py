@@ -186,11 +186,6 @@ class Window:
         pygame.display.flip()
         self._clock.tick(self.fps)
 
-    @property
-    def is_visible(self) -> bool:
-        """Whether there is a display on which the window appears."""
-        return pygame.display.get_driver() not in ("dummy", "offscreen")
-
     def close(self) -> None:
         """Close the window, if it is open. May be called repeatedly; `show` opens a new window."""
         if self._window is not None:
