@@ -1,9 +1,9 @@
 """`slam-gym leaderboard --entry jcbb` evaluates an entry by the frozen protocol, and ranks it.
 
 An entry is an agent, an associator or a relocator: a name, `module:Class`, `module:function` or a model file. It runs
-in a process of its own, and receives observations only. The command writes into --board: ROLE-NAME.json, and
-leaderboard.md, which ranks all entries there and the shipped ones. Without --entry, it only makes the page again. The
-same command resumes an interrupted entry.
+in a process of its own, and receives observations only. The command writes into --board: the folder ROLE-NAME with the
+results of its evaluation, and leaderboard.md, which ranks all entries there and the shipped ones. Without --entry, it
+only makes the page again. The same command resumes an interrupted entry.
 """
 
 import sys
@@ -33,18 +33,15 @@ def main(
 ) -> None:
     """Evaluate and rank an entry by the frozen protocol, or rank all entries again."""
     from agents.evaluation.records import write_whole
-    from agents.ranking.board import BASELINES, markdown, read_entries
+    from agents.ranking.board import BASELINES, folders_in, markdown, read_entries
 
-    if entry:
-        _evaluate(entry, role or _role_of(entry), quick, board, execution)
-    entries, refused = read_entries([BASELINES, board])
-    roles = {entry.protocol["role"] for entry in entries if entry.protocol["quick"]}
-    own = {(entry.name, entry.protocol["role"]) for entry in entries if entry.protocol["quick"]}
-    shipped = [entry.quick() for entry in read_entries([BASELINES])[0] if entry.protocol["role"] in roles]
-    entries += [entry for entry in shipped if (entry.name, entry.protocol["role"]) not in own]
+    evaluated = {_evaluate(entry, role or _role_of(entry), quick, board, execution)} if entry else set()
+    shipped, _ = read_entries(folders_in(BASELINES))
+    own, refused = read_entries(folders_in(board) | evaluated)
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
-    tables = markdown(entries)
+    tried = {entry.protocol["role"] for entry in own if entry.protocol["quick"]}
+    tables = markdown([*shipped, *(entry.quick() for entry in shipped if entry.protocol["role"] in tried), *own])
     board.mkdir(parents=True, exist_ok=True)
     write_whole(board / "leaderboard.md", f"# Leaderboard\n\n{tables}\n")
     if page:
@@ -52,25 +49,23 @@ def main(
     print(f"leaderboard: {board / 'leaderboard.md'}")
 
 
-def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> None:
-    """Evaluate the entry by the protocol, or by the rest of it, and write its file."""
+def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> Path:
+    """Evaluate the entry by the protocol, or by the rest of it; returns the folder of its results."""
     from agents.evaluation.pipeline import METADATA, carry_out
-    from agents.evaluation.records import command_line
-    from agents.ranking.board import ranked, write_entry
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
     if entry != CEILING:  # no process runs it, since it uses the truth
         process(role, entry)  # raises for an invalid entry, before anything is written
-    chosen = Protocol(role, quick)
-    stem = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
-    out = execution.output or board / "runs" / stem
+    name = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
+    out = execution.output or board / name
     resumed = replace(execution, resume=execution.resume or (out / METADATA).exists())
-    records = carry_out(leaderboard_evaluation(entry, chosen), out, resumed).frame.to_dict("records")
-    failed = [record["failed"] for record in records if isinstance(record.get("failed"), str)]
-    if failed:
-        print(f"{len(failed)} of {len(records)} episodes are lost: {failed[0]}")
-    print(f"entry: {write_entry(board, ranked(entry, chosen, records, command_line()))}")
+    frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, resumed).frame
+    failed = frame["failed"].dropna() if "failed" in frame else ()
+    if len(failed):
+        print(f"{len(failed)} of {len(frame)} episodes are lost: {failed.iloc[0]}")
+    print(f"entry: {out}")
+    return out
 
 
 def _role_of(entry: str) -> Role:

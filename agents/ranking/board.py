@@ -1,21 +1,20 @@
-"""Entries as JSON files, and their ranking by paired differences over common worlds."""
+"""The entries of the leaderboard, which are evaluations by the protocol, and their ranking by paired differences over
+common worlds."""
 
 import html
-import json
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.records import Record, undamaged, versions, write_json
+from agents.evaluation.pipeline import METADATA, Results, read_results
+from agents.evaluation.records import undamaged
 from agents.evaluation.tables import display_name, number
 from agents.ranking.protocol import FIRST, PARTS, Protocol, column_of
-from slam_gym._files import content_of, json_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 
@@ -25,82 +24,59 @@ BASELINES = Path(__file__).with_name("baselines")
 RESAMPLES = 4000
 
 
-@dataclass(frozen=True)
-class Ranked:
-    """An entry that was evaluated by the protocol. Only entries of the same protocol are compared.
-
-    Raises ValueError for contents that no evaluation writes; losses are finite and not below 0.
-    """
+class Entry(NamedTuple):
+    """The losses of an entry. Only entries of the same protocol are compared."""
 
     name: str
     protocol: dict[str, Any]  # version, role, quick, hash
-    losses: dict[str, list[float | None]]  # setting → loss in each of its worlds; None: a world without problems
-    about: dict[str, Any]  # command and versions
-
-    def __post_init__(self) -> None:
-        role, code = self.protocol["role"], self.protocol["hash"]
-        numbered = isinstance(self.protocol["version"], int) and isinstance(self.protocol["quick"], bool)
-        if role not in PARTS or not numbered or not code.isalnum() or not isinstance(self.name, str):
-            raise ValueError("its protocol or its name is none")
-        for setting, losses in self.losses.items():
-            for loss in losses:
-                if loss is not None and not (isinstance(loss, int | float) and 0.0 <= loss < math.inf):
-                    raise ValueError(f"the loss {loss!r} in {setting}, expected a number from 0 on")
-        known = self.by_column().groupby(level=0).count()
-        if known.empty or (known == 0).any():
-            raise ValueError("there is a column without a loss, or no column")
+    losses: pd.Series  # by column, setting and world; NaN for a world without problems
 
     @property
-    def shape(self) -> str:
+    def shape(self) -> tuple[Any, ...]:
         """Protocol, settings and worlds, which are equal for entries that are compared."""
-        return json.dumps([self.protocol["hash"], {setting: len(losses) for setting, losses in self.losses.items()}])
+        return (self.protocol["hash"], *sorted(self.losses.index))
 
-    @property
-    def file(self) -> str:
-        """The name of its file."""
-        stem = re.sub(r"[^\w.-]+", "_", Path(self.name).stem if Path(self.name).is_file() else self.name)
-        return f"{self.protocol['role']}-{stem}{'-quick' if self.protocol['quick'] else ''}.json"
-
-    def quick(self) -> "Ranked":
+    def quick(self) -> "Entry":
         """The same entry by the short protocol, whose worlds are among those of the whole one."""
         chosen = Protocol(self.protocol["role"], quick=True)
-        losses = {setting: self.losses[setting][:count] for setting, count in chosen.parts.items()}
-        return Ranked(self.name, chosen.about, losses, self.about)
-
-    def by_column(self) -> pd.Series:
-        """Losses by column, setting and world; NaN for a world without problems."""
-        series = {(column_of(name), name): pd.Series(losses, dtype=float) for name, losses in self.losses.items()}
-        return pd.concat(series)
+        among = [world - FIRST < chosen.parts.get(setting, 0) for _, setting, world in self.losses.index]
+        return Entry(self.name, chosen.about, self.losses[among])
 
 
-def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str) -> Ranked:
-    """The entry for the records of a whole evaluation."""
-    losses: dict[str, list[float | None]] = {setting: [None] * count for setting, count in chosen.parts.items()}
-    for record in records:
-        if not math.isnan(loss := float(record["loss"])):
-            losses[record["setting"]][record["episode"] - FIRST] = round(loss, 6)
-    return Ranked(name, chosen.about, losses, {"command": command, "versions": versions()})
+def entry_of(results: Results) -> Entry:
+    """The entry of a complete evaluation. Raises ValueError for results that no evaluation by the protocol has: losses
+    are finite and not below 0, one for each world."""
+    protocol = results.conditions
+    name, role, code = protocol.pop("entry"), protocol["role"], protocol["hash"]
+    numbered = isinstance(protocol["version"], int) and isinstance(protocol["quick"], bool)
+    if role not in PARTS or not numbered or not code.isalnum() or not isinstance(name, str):
+        raise ValueError("its protocol or its name is none")
+    if not results.metadata["complete"]:
+        raise ValueError("its evaluation is not complete")
+    frame = results.frame.assign(column=results.frame["setting"].map(column_of))
+    losses = frame.set_index(["column", "setting", "episode"])["loss"].astype(float)
+    if not (losses.index.is_unique and losses.dropna().between(0.0, math.inf, inclusive="left").all()):
+        raise ValueError("its losses are not one number from 0 on for each world")
+    if not losses.groupby(level="column").count().all():
+        raise ValueError("there is a column without a loss")
+    return Entry(name, protocol, losses.round(6))
 
 
-def write_entry(folder: Path, entry: Ranked) -> Path:
-    """Write an entry to a folder, and return its file."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / entry.file, vars(entry))
-    return folder / entry.file
-
-
-def read_entries(folders: Sequence[Path]) -> tuple[list[Ranked], list[str]]:
-    """All entries of `folders`, and a line for each file without a valid entry. Of files with the same name, the one in
-    the last folder counts."""
-    files = {path.name: path for folder in folders for path in sorted(folder.glob("*.json"))}
+def read_entries(folders: Iterable[Path]) -> tuple[list[Entry], list[str]]:
+    """The entries in the folders of evaluations, and a line for each folder without a valid one."""
     entries, invalid = [], []
-    for path in files.values():
+    for folder in sorted(folders):
         try:
-            with undamaged(f"{path}: the entry"):
-                entries.append(Ranked(**json_of(content_of(path))))
+            with undamaged(f"{folder}: the entry"):
+                entries.append(entry_of(read_results(folder)))
         except (ValueError, OSError) as error:
             invalid.append(" ".join(str(error).split()))
     return entries, invalid
+
+
+def folders_in(board: Path) -> set[Path]:
+    """The folders of evaluations in the folder of a board."""
+    return {path.parent for path in board.glob(f"*/{METADATA}")}
 
 
 class Row(NamedTuple):
@@ -113,12 +89,13 @@ class Row(NamedTuple):
     columns: dict[str, float]  # mean losses
 
 
-def rows(entries: Sequence[Ranked]) -> list[Row]:
+def rows(entries: Sequence[Entry]) -> list[Row]:
     """The ranking of entries of one protocol, by place and then by loss.
 
-    The ceiling, which uses the truth, has place 0 and does not change the places of others.
+    Of entries with the same name, the last counts. The ceiling, which uses the truth, has place 0 and does not change
+    the places of others.
     """
-    losses = pd.DataFrame({entry.name: entry.by_column() for entry in entries})
+    losses = pd.DataFrame({entry.name: entry.losses for entry in entries})
     means = losses.groupby(level=0, sort=False).mean()
     rivals = [name for name in losses if name != CEILING]
     first = means.mean()[rivals or list(losses)].idxmin()
@@ -140,9 +117,9 @@ def _mean_of_means(losses: pd.Series) -> Interval:
     return Interval(float(np.mean([values.mean() for values in known])), float(low), float(high))
 
 
-def markdown(entries: Sequence[Ranked]) -> str:
+def markdown(entries: Sequence[Entry]) -> str:
     """Markdown tables, one for every protocol among the entries."""
-    groups: dict[str, list[Ranked]] = {}
+    groups: dict[tuple[Any, ...], list[Entry]] = {}
     for entry in entries:
         groups.setdefault(entry.shape, []).append(entry)
     return "\n\n".join(_table(group[0].protocol, rows(group)) for group in groups.values())

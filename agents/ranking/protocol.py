@@ -99,7 +99,6 @@ def _searcher(name: str, role: Role) -> Any:
     return functools.partial(associate_in if role == "associator" else relocate_in, process(role, name))
 
 
-@functools.lru_cache(maxsize=2)
 def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any]]:
     """The driver and the environment, in which baselines play the other roles."""
     agent: Agent = EntryAgent(process("agent", name)) if role == "agent" else make_agent(DRIVER)

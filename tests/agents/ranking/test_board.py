@@ -6,12 +6,13 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from agents.leaderboard import MARKS, app, with_tables
-from agents.ranking.board import BASELINES, Ranked, markdown, ranked, read_entries, rows, write_entry
-from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol
+from agents.ranking.board import BASELINES, Entry, folders_in, markdown, read_entries, rows
+from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol, column_of
 from slam_gym.scenarios import get_scenario, world_generator
 from tests.agents import typed
 
@@ -37,23 +38,33 @@ def test_the_floors_are_what_they_were():
 
 
 def test_what_ships_can_be_read_and_is_of_this_protocol():
-    entries, refused = read_entries([BASELINES])
+    entries, refused = read_entries(folders_in(BASELINES))
     assert not refused
     assert {entry.protocol["role"] for entry in entries} == set(PARTS)
     for entry in entries:
         chosen = Protocol(entry.protocol["role"])
         assert entry.protocol == chosen.about
-        assert {setting: len(losses) for setting, losses in entry.losses.items()} == chosen.parts
+        assert entry.losses.groupby(level="setting").size().to_dict() == chosen.parts
 
 
 def an_entry(name, shift, seed=0, noise=0.001):
     """Losses of worlds that differ much from each other, shifted by little."""
-    hard, own = np.random.default_rng(1), np.random.default_rng(seed)
-    losses = {
-        setting: (hard.uniform(0.2, 0.9, count) + shift + noise * own.standard_normal(count)).tolist()
-        for setting, count in PARTS["agent"].items()
-    }
-    return Ranked(name, Protocol("agent").about, losses, {})
+    hard, own, losses = np.random.default_rng(1), np.random.default_rng(seed), {}
+    for setting, count in PARTS["agent"].items():
+        drawn = hard.uniform(0.2, 0.9, count) + shift + noise * own.standard_normal(count)
+        losses |= {(column_of(setting), setting, FIRST + k): loss for k, loss in enumerate(drawn.tolist())}
+    return Entry(name, Protocol("agent").about, pd.Series(losses))
+
+
+def write(folder, entry, **changes):
+    """Write an entry as an evaluation does, but for `changes` of its results.json."""
+    folder.mkdir(parents=True)
+    rows = [{"name": "a", "setting": s, "episode": k, "model": "", "loss": x} for (_, s, k), x in entry.losses.items()]
+    pd.DataFrame(rows).to_csv(folder / "results.csv", index=False)
+    told = {"kind": "leaderboard", "commands": [], "complete": True, "versions": {}}
+    told |= {"conditions": {"entry": entry.name} | entry.protocol}
+    (folder / "results.json").write_text(json.dumps(told | changes))
+    return folder
 
 
 def test_small_differences_on_the_same_worlds_are_told_apart_and_noise_is_not():
@@ -71,58 +82,57 @@ def test_the_ceiling_takes_nobodys_place_and_nobody_is_behind_it():
 
 
 def test_columns_weigh_alike_and_what_could_not_be_decided_is_left_out():
+    one, settings = an_entry("a", 0.0), list(PARTS["agent"])
+    losses = pd.Series({key: float(key[1] == settings[0]) for key in one.losses.index})
+    losses["office-small", "office-small", FIRST + 3] = math.nan
+    (row,) = rows([one._replace(losses=losses)])
+    assert row.loss.estimate == pytest.approx(1.0 / len(settings)) and row.loss.low == row.loss.high
+
+
+def test_entries_come_back_from_their_folders(tmp_path):
     one = an_entry("a", 0.0)
-    losses = {setting: [float(k == 0)] * len(own) for k, (setting, own) in enumerate(one.losses.items())}
-    losses["office-small"][3] = None
-    (row,) = rows([Ranked("a", one.protocol, losses, {})])
-    assert row.loss.estimate == pytest.approx(1.0 / len(losses)) and row.loss.low == row.loss.high
+    one.losses["hall", "hall", FIRST] = math.nan  # a world in which nothing was to be decided
+    ((found,), refused) = read_entries([write(tmp_path / "one", one)])
+    assert (found.name, found.protocol, refused) == (one.name, one.protocol, [])
+    pd.testing.assert_series_equal(found.losses, one.losses, check_names=False, atol=1e-6)
+    assert dict.fromkeys(found.quick().losses.index) == {("office-small", "office-small", FIRST): None}
 
 
-def test_entries_come_back_from_their_files(tmp_path):
-    chosen = Protocol("associator", quick=True)
-    records = [{"setting": setting, "episode": FIRST, "loss": 0.25} for setting in chosen.parts]
-    entry = ranked("jcbb", chosen, records, "python -m …")
-    path = write_entry(tmp_path, entry)
-    assert path.name == "associator-jcbb-quick.json" and read_entries([tmp_path]) == ([entry], [])
-    assert entry.losses == {"clutter/1": [0.25], "drift-2": [0.25]}
-
-
-def test_a_world_in_which_nothing_was_to_be_decided_has_no_loss_and_none_is_infinite():
-    chosen = Protocol("agent")
-    records = [{"setting": s, "episode": FIRST + k, "loss": 0.5} for s, n in chosen.parts.items() for k in range(n)]
-    assert ranked("a", chosen, [records[0] | {"loss": math.nan}, *records[1:]], "").losses["office-small"][0] is None
-    with pytest.raises(ValueError, match="the loss inf in office-small"):
-        ranked("a", chosen, [records[0] | {"loss": math.inf}, *records[1:]], "")
-
-
-GOOD = vars(an_entry("good", 0.0))
+GOOD = an_entry("good", 0.0)
+KNOWN = {"entry": GOOD.name} | GOOD.protocol
 NO_ENTRIES = [
-    "", "[]", "null", "[" * 100_000, "\xff", '{"name": 3}', GOOD | {"name": 3}, GOOD | {"losses": {"a": ["b"]}},
-    GOOD | {"more": 1}, GOOD | {"protocol": None}, GOOD | {"protocol": GOOD["protocol"] | {"role": "judge"}},
-    GOOD | {"protocol": GOOD["protocol"] | {"hash": "` | `"}},
-    *(GOOD | {"losses": GOOD["losses"] | {"hall": [loss] * 8}}
-      for loss in (-0.1, math.nan, math.inf, "0.1", None, 10**400, [0.1])),
-    json.dumps(GOOD).replace('"hall": [', '"hall": [1e999, '),
+    {"complete": False}, {"kind": "suite", "conditions": {}}, {"conditions": KNOWN | {"entry": 3}}, {"versions": 3},
+    *({"conditions": KNOWN | {name: value}}
+      for name, value in (("role", "judge"), ("hash", "` | `"), ("hash", None), ("version", "3"), ("quick", None))),
 ]  # fmt: skip
+NO_LOSSES = (-0.1, math.inf, "b", "1e400", "[0.1]")
 
 
 def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path):
-    write_entry(tmp_path, Ranked(**GOOD))
-    for number, content in enumerate(NO_ENTRIES):
-        text = json.dumps(content) if isinstance(content, dict) else content
-        (tmp_path / f"agent-damaged-{number:02}.json").write_text(text, encoding="latin-1")
+    write(tmp_path / "good", GOOD)
+    no_entries = [write(tmp_path / f"damaged-{k:02}", GOOD, **changes) for k, changes in enumerate(NO_ENTRIES)]
+    for k, loss in enumerate(NO_LOSSES):
+        losses = GOOD.losses.astype(object)
+        losses["hall", "hall", FIRST] = loss
+        no_entries.append(write(tmp_path / f"loss-{k:02}", GOOD._replace(losses=losses)))
+    empty = GOOD.losses.mask(GOOD.losses.index.get_level_values(0) == "hall")
+    twice = pd.concat([GOOD.losses, GOOD.losses[:1]])
+    for name, losses in (("empty", empty), ("twice", twice)):
+        no_entries.append(write(tmp_path / name, GOOD._replace(losses=losses)))
+    no_entries.append(tmp_path / "text")
+    write(tmp_path / "text", GOOD)
+    (tmp_path / "text" / "results.json").write_text("[" * 100_000)
     done = typed(app, "--board", tmp_path)
     assert done.exit_code == 0 and "| good |" in (tmp_path / "leaderboard.md").read_text()
     told = [line.partition("left out: ")[2] for line in done.stderr.splitlines()]
-    for number, content in enumerate(NO_ENTRIES):
-        path = str(tmp_path / f"agent-damaged-{number:02}.json")
-        assert sum(line.startswith(path) for line in told) == 1, content
-    assert len(told) == len(NO_ENTRIES)
+    for folder in no_entries:
+        assert sum(line.startswith(f"{folder}: ") for line in told) == 1, folder
+    assert len(told) == len(no_entries)
 
 
 def test_names_cannot_break_the_page():
     one = an_entry("<img src=x> | [a](b) `c` *d*\n# e \\", 0.0)
-    other = Ranked(one.name, one.protocol | {"hash": "other"}, {"<b>|x": [0.5]}, {})
+    other = Entry(one.name, one.protocol | {"hash": "other"}, pd.Series({("<b>|x", "<b>|x", FIRST): 0.5}))
     shown = markdown([one, other])
     assert r"| &lt;img src=x&gt; \| \[a\](b) \`c\` \*d\* # e \\ |" in shown and r"| &lt;b&gt;\|x |" in shown
     table = shown.split("### Agents")[1].strip().splitlines()[2:]
@@ -143,9 +153,11 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     assert shown.startswith("before") and shown.endswith("after\n") and "old" not in shown
     assert ":mine |" in shown and "|  | true association |" in shown and "| clutter | drift-2 |" in shown
     assert "|  | jcbb |" in shown, "what ships is ranked beside it, in the same worlds"
-    before, _ = read_entries([board])
+    before, _ = read_entries(folders_in(board))
+    assert [entry.name for entry in before] == [MINE, "true_association"]
     leaderboard("--entry", MINE, "--role", "associator")
-    assert [entry.losses for entry in read_entries([board])[0]] == [entry.losses for entry in before]
+    for entry, again in zip(before, read_entries(folders_in(board))[0], strict=True):
+        pd.testing.assert_series_equal(entry.losses, again.losses)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,6 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
     process = started("agent", f"{STRANGERS}:{name}")
     monkeypatch.setattr(entry_process, "LIMIT", 1.0)
     monkeypatch.setattr(protocol, "process", lambda role, name: process)
-    protocol._loop.cache_clear()
     worlds = (FIRST, FIRST + 1) if name == "Exiting" else (FIRST,)  # every failure ends the process, in the same way
     for world in worlds:
         (record,) = lose(name, "agent", "office-small", world)
