@@ -104,7 +104,7 @@ def evaluate(
     from agents.evaluation.tables import print_table
 
     try:
-        results = carry_out(evaluation, out, execution)
+        results = carry_out(evaluation, out, execution.jobs, execution.resume)
         if films:
             list(track(run_all(films, execution.jobs), "films", total=len(films)))
     except KeyboardInterrupt:

@@ -24,7 +24,7 @@ def main(
 ) -> None:
     """Evaluate drivers on the same test worlds."""
     from agents.drivers.base import SHOWN
-    from agents.evaluation.drives import driver_evaluation, drivers_of
+    from agents.evaluation.episodes import driver_evaluation, drivers_of
 
     loops, numbers = world.loops(["office"], split="test"), episodes.range(EPISODES)
     out = execution.folder(loops[0].world.split(".")[0])

@@ -2,7 +2,7 @@
 the same scans, with one number per capability; `--recording` runs them over a real log. All write a report.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,34 +23,16 @@ class Loop(Scenes, Episodes):
     driver: Annotated[str, Option(metavar="NAME", help="See slam-gym list drivers.")] = "information_gain"
 
 
-@dataclass(frozen=True)
-class EvaluatedAssociators:
-    """The evaluated associators and relocation searches."""
-
-    associators: Associators = None
-    relocation: Annotated[
-        Names,
-        Option(metavar="NAME …", help="See slam-gym list relocators; or none. By default both none and gcbb."),
-    ] = None
-    split: Annotated[Literal["train", "test"], Option(help="Split of the worlds; tune on train.")] = "test"
-
-    @property
-    def names(self) -> list[str]:
-        from agents.evaluation.associators import SHIPPED
-
-        return self.associators or list(SHIPPED)
-
-    def searches(self, *default: str | None) -> list[str | None]:
-        """The relocation searches, each once, as `search_of` reads them; by default those of `default`."""
-        return [search_of(name) for name in dict.fromkeys(self.relocation or default)]
-
-
 def main(
-    candidates: EvaluatedAssociators,
     execution: Execution,
     loop: Loop,
     suite_options: Suite,
     recorded: Recorded,
+    associators: Associators = None,
+    relocation: Annotated[
+        Names, Option(metavar="NAME …", help="See slam-gym list relocators; or none. By default both none and gcbb.")
+    ] = None,
+    split: Annotated[Literal["train", "test"], Option(help="Split of the worlds; tune on train.")] = "test",
     suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
     recording: Annotated[
         str | None, Option(metavar="LOG", help="See slam-gym list recordings; or .csv, .npz, .g2o, .txt (iSAM).")
@@ -58,19 +40,20 @@ def main(
     film: Annotated[bool, Option("--film", help="Film the first drive of two to four, side by side.")] = False,
 ) -> None:
     """Evaluate associators in the same test worlds, on the scans of the suite, or on a recording."""
+    from agents.evaluation.associators import SHIPPED
+
     if suite and recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
-    if film and (suite or recording or not 2 <= len(candidates.names) <= 4):
+    if film and (suite or recording or not 2 <= len(associators or ()) <= 4):
         raise ValueError("--film shows drives of two to four associators: name them by --associators")
     kind = "suite" if suite else "recording" if recording else "association"
     _check_options_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
-    out, films = execution.folder(kind), list[Callable[[], Path]]()
+    names, out, films = associators or SHIPPED, execution.folder(kind), list[Callable[[], Path]]()
     if suite:
         from agents.suite import suite_evaluation
         from slam_gym.association import RELOCATORS
 
-        relocators = candidates.relocation or list(RELOCATORS)
-        evaluation = suite_evaluation(suite_options, candidates.names, relocators, candidates.split)
+        evaluation = suite_evaluation(suite_options, names, relocation or list(RELOCATORS), split)
     elif recording:
         from agents.evaluation.mapped_log import logs_of, recording_evaluation
 
@@ -78,18 +61,22 @@ def main(
         for log in logs:
             print(f"{log.name}: {log.source} {log.terms}")
         conditions = {"recording": recording, "every": recorded.every, "reference": recorded.reference}
-        evaluation = recording_evaluation(candidates.names, logs, conditions, out, candidates.searches(None))
+        evaluation = recording_evaluation(names, logs, conditions, out, _searches(relocation or [None]))
     else:
-        from agents.evaluation.drives import Driver, associator_evaluation
+        from agents.evaluation.episodes import Driver, associator_evaluation
 
-        loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches("none", None)
-        episodes = loop.range(EPISODES)
-        evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
+        loops, searches = loop.loops(LOOPS, split), _searches(relocation or ["none", None])
+        evaluation = associator_evaluation(names, loops, loop.driver, loop.range(EPISODES), searches, out)
         if film:
             from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 
-            films = films_of([Driver(loop.driver)], loops[0], loop.seed, out, candidates.names)
+            films = films_of([Driver(loop.driver)], loops[0], loop.seed, out, names)
     evaluate(evaluation, execution, out, films)
+
+
+def _searches(names: Sequence[str | None]) -> list[str | None]:
+    """The relocation searches, each once, as `search_of` reads them."""
+    return [search_of(name) for name in dict.fromkeys(names)]
 
 
 def _check_options_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:

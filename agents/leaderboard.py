@@ -8,7 +8,6 @@ only makes the page again. The same command resumes an interrupted entry.
 
 import sys
 from collections.abc import Collection
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -59,8 +58,8 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
         process(role, entry)  # raises for an invalid entry, before anything is written
     name = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execution.output or board / name
-    resumed = replace(execution, resume=execution.resume or (out / METADATA).exists())
-    frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, resumed).frame
+    resume = execution.resume or (out / METADATA).exists()
+    frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, execution.jobs, resume).frame
     failed = frame["failed"].dropna() if "failed" in frame else ()
     if len(failed):
         print(f"{len(failed)} of {len(frame)} episodes are lost: {failed.iloc[0]}")

@@ -76,10 +76,7 @@ class Episodes:
     episodes: Annotated[
         int | None,
         Option(
-            min=1,
-            metavar="N",
-            help="By default 4; evaluate-association 30, record-decisions 10.",
-            show_default=False,
+            min=1, metavar="N", help="By default 4; evaluate-association 30, record-decisions 10.", show_default=False
         ),
     ] = None
     seed: Annotated[int, Option(min=0, metavar="K", help="First episode; episode k is world k with seed k.")] = 0

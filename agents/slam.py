@@ -60,16 +60,15 @@ def main(
         title = f"{recording.name}: {counted(len(table), 'feature')} by {associator}"
         ax.set(title=title, xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
-        joined = "1 map"
+        print(f"{counted(len(table), 'feature')}, {counted(len(slam.maps), 'map')}")
         if len(slam.maps) > 1:
-            joined = f"{len(slam.maps)} maps that are not joined: the robot was lost, or the sigmas are too small"
-        print(f"{counted(len(table), 'feature')}, {joined}")
+            print("the maps are not joined: the robot was lost, or the sigmas are too small")
         if slam.missed_loop:
             print("a place is probably mapped twice: features that were seen from there before are missing")
-        if slam.tracker is not None and (doubted or slam.tracker.slips):
-            slipped = f"the wheels slipped {counted(slam.tracker.slips, 'time')}" if slam.tracker.slips else ""
-            useless = f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing" if doubted else ""
-            print("; ".join(filter(None, (slipped, useless))))
+        if slam.tracker is not None and slam.tracker.slips:
+            print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}")
+        if doubted:
+            print(f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
         print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))
 
 

@@ -9,7 +9,7 @@ associators get the same problems. A task evaluates all associators or relocator
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import Metered, models_of
+from agents.evaluation.associators import Metered, hashes_of
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
 from agents.options import Suite
@@ -51,8 +51,7 @@ MAX_TURN = math.radians(3.0)  # [rad] largest heading error of a right pose
 OTHER_BUILDING = 5_000  # offset from the number of a world to that of its other building
 
 
-@dataclass(frozen=True)
-class AssociationProblem:
+class AssociationProblem(NamedTuple):
     """One scan to be associated, and the truth about it."""
 
     scan: Scan
@@ -141,29 +140,10 @@ def problems(level: Level, world: int, count: int, split: str = "test") -> Itera
         yield AssociationProblem(scan, prediction, truth)
 
 
-class Judgement(NamedTuple):
-    """The judgement on a hypothesis, in numbers of measurements."""
-
-    right: int
-    wrong: int
-    refused: int  # measurements of a mapped feature that are left unpaired
-    mapped: int  # measurements of a mapped feature
-
-
-def judge(features: IntArray, right: IntArray) -> Judgement:
-    """Compare the features (m,) of a hypothesis with the right ones (m,). Raises ValueError for different lengths."""
-    if len(features) != len(right):
-        raise ValueError(f"{len(features)} decisions for {len(right)} measurements")
-    paired, mapped = features != UNPAIRED, right != UNPAIRED
-    agreed = int((paired & (features == right)).sum())
-    return Judgement(agreed, int(paired.sum()) - agreed, int((mapped & ~paired).sum()), int(mapped.sum()))
-
-
 # -- without a prior -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RelocationProblem:
+class RelocationProblem(NamedTuple):
     """A scan, a map that may contain its place, and the true pose."""
 
     scan: Scan
@@ -216,17 +196,15 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
             keys = [Key(each, level.id, world) for each in searches]
             tasks.append(Task(keys, partial(evaluate, level.id, world, searches, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
-    return Evaluation("suite", tasks, size, {"models": models_of(associators)})
+    return Evaluation("suite", tasks, size, {"models": hashes_of(*associators)})
 
 
 def ask(name: str, function: Callable[..., Any], problem: AssociationProblem | RelocationProblem) -> Any:
     """The answer of an associator, of which `true_association` receives the truth, or of a relocator."""
-    if isinstance(problem, RelocationProblem):
-        return function(problem.scan, problem.landmarks, problem.locality)
+    *shown, truth = problem
     if name == CEILING:
-        truth = problem.truth
-        return true_association(problem.scan, problem.prediction, sources=truth.sources, identities=truth.identities)
-    return function(problem.scan, problem.prediction)
+        return true_association(*shown, sources=truth.sources, identities=truth.identities)
+    return function(*shown)
 
 
 def evaluate(setting: str, world: int, searches: Mapping[str, Any], count: int, split: str) -> list[Record]:
@@ -247,24 +225,27 @@ def evaluate(setting: str, world: int, searches: Mapping[str, Any], count: int, 
 
 
 def association_record(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
-    """Fractions over the problems of a world; NaN where it had none.
+    """Fractions over the problems of a world, by the right features (m,) of each; NaN where it had none.
 
     A scan scores (right − 10 · wrong) / mapped, but not below −1; the score is the mean, but not below 0. `spoiled` are
     scans with a wrong pairing; in `exact` scans, all measurements of mapped features are paired rightly and no others
     are paired.
     """
-    judged = [judge(hypothesis.features, features) for hypothesis, features in zip(answers, right)]
-    scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
-    agreed, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
-    scores = ((agreed - WRONG_COST * wrong) / mapped).clip(lower=-1.0)
+    counts = []
+    for hypothesis, features in zip(answers, right):
+        paired, mapped = hypothesis.features != UNPAIRED, features != UNPAIRED
+        agreed = paired & (hypothesis.features == features)
+        counts.append((agreed.sum(), (paired & ~agreed).sum(), (mapped & ~paired).sum(), mapped.sum()))
+    scans = pd.DataFrame(counts, columns=["agreed", "wrong", "refused", "mapped"], dtype=float)  # measurements
+    scores = ((scans.agreed - WRONG_COST * scans.wrong) / scans.mapped).clip(lower=-1.0)
     return {
         "problems": len(scans),
         "score": float(max(scores.mean(), 0.0)),  # NaN stays
-        "spoiled": float((wrong > 0.0).mean()),
-        "refused": float((refused / mapped).mean()),
-        "exact": float((wrong + refused == 0.0).mean()),
-        "precision": _ratio(agreed.sum(), agreed.sum() + wrong.sum()),
-        "recall": _ratio(agreed.sum(), mapped.sum()),
+        "spoiled": float((scans.wrong > 0.0).mean()),
+        "refused": float((scans.refused / scans.mapped).mean()),
+        "exact": float((scans.wrong + scans.refused == 0.0).mean()),
+        "precision": _ratio(scans.agreed.sum(), scans.agreed.sum() + scans.wrong.sum()),
+        "recall": _ratio(scans.agreed.sum(), scans.mapped.sum()),
     } | promised(answers, right)
 
 

@@ -22,12 +22,11 @@ import numpy as np
 import pandas as pd
 from gymnasium.wrappers import TransformObservation
 
-from agents.evaluation.drives import associator_evaluation
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associator_evaluation
 from agents.evaluation.pipeline import carry_out
 from agents.learning.policies import HYPERPARAMETERS
 from agents.learning.training import WEIGHTS, train
-from agents.options import DRIFTING, Execution, Training
+from agents.options import DRIFTING, Training
 from benchmarks.common import Record, mean_interval, options, table
 from slam_gym import weights
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
@@ -138,6 +137,6 @@ if __name__ == "__main__":
         numbers = range(FIRST_WORLD, FIRST_WORLD + worlds)
         evaluation = associator_evaluation(list(variants), loops, "information_gain", numbers, [None])
         drives = out / "drives"
-        frame = carry_out(evaluation, drives, Execution(resume=drives.exists())).frame
+        frame = carry_out(evaluation, drives, resume=drives.exists()).frame
     frame = frame.assign(variant=frame["name"].map(variants))
     table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))

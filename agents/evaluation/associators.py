@@ -3,7 +3,7 @@
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,19 +40,10 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
     }  # fmt: skip
 
 
-def models_of(associators: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The hash of each file of weights among the associators, for results.json."""
-    return hashes_of(name for name in associators if name.endswith(".npz"))
-
-
-def hashes_of(files: Iterable[str | None]) -> dict[str, dict[str, Any]]:
-    """The hash of each of the files; names that are no files are left out."""
-    return {name: hash_of(Path(name)) for name in files if name and Path(name).is_file()}
-
-
-def hash_of(model: Path) -> dict[str, Any]:
-    """The SHA-256 of a file, as an entry of results.json."""
-    return {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
+def hashes_of(*names: str | None) -> dict[str, dict[str, Any]]:
+    """The SHA-256 of each file among the names of associators, drivers' models and worlds, for results.json."""
+    files = {name: Path(name) for name in names if name and Path(name).is_file()}
+    return {name: {"sha256": hashlib.sha256(file.read_bytes()).hexdigest()} for name, file in files.items()}
 
 
 class Metered:

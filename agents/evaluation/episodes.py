@@ -1,9 +1,12 @@
-"""One episode: the arguments of its environment, which are the same for every agent, and its run to the end."""
+"""Episodes: the arguments of their environment, which are the same for every agent, the run to the end, and the
+evaluations of every driver, or of one driver with every associator, in the same test worlds."""
 
 import hashlib
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +14,12 @@ import gymnasium as gym
 import numpy as np
 
 import slam_gym  # noqa: F401  (registers the environments)
-from agents.drivers.base import Agent, visible
+from agents.drivers.base import Agent, is_learned, make_agent, visible
 from agents.drivers.clairvoyant import Clairvoyant
-from agents.evaluation.records import Record
-from slam_gym.association.prediction import Associator
+from agents.evaluation.associators import Metered, contenders, hashes_of, metered
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record, stem
 from slam_gym.slam.relocate import SEARCH
-from slam_gym.types import Relocator
-
-EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 
 
 @dataclass(frozen=True)
@@ -51,18 +52,10 @@ class ExploreArguments(_Arguments):
         """The name of its worlds for titles: that of the scenario, or of the file of a floor plan."""
         return Path(self.floor_plan).name if self.floor_plan else self.scenario
 
-    def make(
-        self,
-        action: str,
-        render_mode: str | None = None,
-        associator: Associator | str | None = None,
-        relocation: Relocator | str | None = None,
-    ) -> gym.Env[Any, Any]:
-        """The environment. `associator` and `relocation` replace those of the arguments unless None. Raises ValueError,
-        with the known names, for an unknown one."""
-        changes = {"associator": associator, "relocation": relocation}
-        arguments = self.plain | {name: value for name, value in changes.items() if value is not None}
-        return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **arguments)
+    def make(self, action: str, **others: Any) -> gym.Env[Any, Any]:
+        """The environment; `others` are further arguments of it, and replace those of the same name. Raises ValueError,
+        with the known names, for an unknown associator or relocator."""
+        return gym.make("slam_gym/Explore-v0", action=action, disable_env_checker=True, **self.plain | others)
 
 
 @dataclass(frozen=True)
@@ -80,7 +73,7 @@ class AssociateArguments(_Arguments):
 
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
         """The environment, which has one kind of action. ValueError, with the known names, for an unknown one."""
-        return gym.make(ASSOCIATE, disable_env_checker=True, **self.plain)
+        return gym.make("slam_gym/Associate-v0", disable_env_checker=True, **self.plain)
 
 
 LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0
@@ -139,3 +132,134 @@ def run_episode(
     record = {"episode": episode, "return": total, "decisions": decisions, "seconds": seconds} | quality
     lost = float(record["map_error"] > LOST_ERROR or record["duplicates"] > LOST_DUPLICATES)
     return record | {"map_lost": lost, "ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
+
+
+# -- the evaluations --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Driver:
+    """An agent, and the model file of a learned one."""
+
+    agent: str
+    model: str = ""
+    trust: bool = False
+
+    def make(self) -> Agent:
+        return make_agent(self.agent, self.model or None, trust=self.trust)
+
+
+def drivers_of(names: Sequence[str], models: Sequence[Path | str], trust: bool) -> list[Driver]:
+    """One driver for each name, for learned ones one for each model file. Models without a learned name add `ppo`."""
+    names = list(dict.fromkeys(names))
+    if models and not any(is_learned(name) for name in names):
+        names.append("ppo")
+    files = [str(Path(model).resolve()) for model in models]
+    return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or [""]]
+
+
+def drive(
+    driver: Driver, arguments: ExploreArguments, associator: str | None, episode: int, picture: Path | None = None
+) -> list[Record]:
+    """One drive through one world. An evaluated `associator` replaces that of the arguments; its decisions and its
+    effort are recorded as well, and its final map is drawn into the file `picture`."""
+    agent = _agent(driver)
+    env, meter = _loop(arguments, agent.action, associator)
+    if meter is None:
+        return [run_episode(env, agent, episode)]
+    meter.reset()
+    record = run_episode(env, agent, episode)
+    del record["curve"]
+    if picture is not None:
+        from agents.reports.figures import final_map
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        final_map(env.unwrapped.episode).savefig(picture)  # type: ignore[attr-defined]
+    tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
+    return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
+
+
+# Agents and environments are cached for the next task of the same process.
+_agent = lru_cache(maxsize=8)(Driver.make)
+
+
+@lru_cache(maxsize=4)
+def _loop(arguments: ExploreArguments, action: str, associator: str | None) -> tuple[gym.Env[Any, Any], Metered | None]:
+    """The environment, and the meter of the evaluated associator."""
+    if associator is None:
+        return arguments.make(action), None
+    meter, associate = metered(associator)
+    return arguments.make(action, associator=associate), meter
+
+
+def driver_evaluation(
+    drivers: Sequence[Driver], loops: Sequence[ExploreArguments], episodes: Sequence[int]
+) -> Evaluation:
+    """The evaluation of every driver in every episode of every loop. Loads the models, and raises ValueError for
+    unknown names, and for a model that does not fit a loop."""
+    tried = {driver.model or _agent(driver).action: driver for driver in reversed(drivers)}
+    for loop, driver in product(loops, tried.values()):
+        _try_out(driver, loop, episodes[0])
+    tasks = [
+        Task([Key(driver.agent, loop.world, k, driver.model)], partial(drive, driver, loop, None, k))
+        for loop, k, driver in product(loops, episodes, drivers)
+    ]
+    models = hashes_of(*(driver.model for driver in drivers), loops[0].floor_plan)
+    for name in {driver.model for driver in drivers if driver.model}:
+        models[name] |= _training(Path(name))
+    several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}
+    return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models})
+
+
+def _try_out(driver: Driver, loop: ExploreArguments, episode: int) -> None:
+    """Let a driver decide once, which also compiles the inner loops of its kind of action here, instead of in every
+    worker. Raises ValueError, naming it, for a model that does not fit the loop."""
+    agent = _agent(driver)
+    env, _ = _loop(loop, agent.action, None)
+    observation, info = begin_episode(env, agent, episode)
+    try:
+        action = agent.act(observation, visible(info))
+    except ValueError as error:
+        name = f"model {driver.model}" if driver.model else f"agent {driver.agent}"
+        raise ValueError(f"{name}: does not fit {loop.world}: {error}") from None
+    env.step(action)
+
+
+def _training(model: Path) -> dict[str, Any]:
+    """The description of the training in a model file; empty for a trusted file of another format."""
+    from agents.learning.policies import read_about  # imports torch, which only learned agents need
+
+    try:
+        about = read_about(model)
+    except ValueError:
+        return {}
+    return {"training": about.training | {"timesteps": about.timesteps}}
+
+
+def map_path(out: Path, setting: str, name: str) -> Path:
+    """The file of an associator's final map in its first episode of a setting."""
+    return out / "maps" / f"{stem(setting, name)}.png"
+
+
+def associator_evaluation(
+    associators: Sequence[str],
+    loops: Sequence[ExploreArguments],
+    driver: str,
+    episodes: Sequence[int],
+    relocations: Sequence[str | None],
+    out: Path | None = None,
+) -> Evaluation:
+    """The evaluation of every associator with each of the `relocations` in every loop; draws final maps into `out`.
+
+    Raises ValueError for an unknown associator, scenario, driver or relocator.
+    """
+    names, fixed_driver, tasks = contenders(associators, relocations), Driver(driver), []
+    for loop in loops:
+        _loop(loop, _agent(fixed_driver).action, associators[0])  # raises for unknown names
+    for loop, k, (name, (associator, relocation)) in product(loops, episodes, names.items()):
+        picture = map_path(out, loop.world, name) if out and k == episodes[0] else None
+        call = partial(drive, fixed_driver, replace(loop, relocation=relocation), associator, k, picture)
+        tasks.append(Task([Key(name, loop.world, k)], call))
+    shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
+    conditions = {"driver": driver, "relocation": list(relocations)} | shared
+    return Evaluation("associators", tasks, conditions, {"models": hashes_of(*associators, loops[0].floor_plan)})

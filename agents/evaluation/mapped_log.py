@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import contenders, hashes_of, metered, models_of
+from agents.evaluation.associators import contenders, hashes_of, metered
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem, write_whole
 from agents.options import Recorded
@@ -324,6 +324,8 @@ def recording_evaluation(
         for name, searches in contenders(associators, relocations).items()
         if searches[0] != CEILING or (log.sources != UNLABELLED).any()  # without labels it pairs nothing
     ]
-    files = models_of(associators) | hashes_of([conditions["recording"]])
-    about = {"settings": {log.name: asdict(slam_for(log)) for log in logs}, "models": files}
+    about = {
+        "settings": {log.name: asdict(slam_for(log)) for log in logs},
+        "models": hashes_of(*associators, conditions["recording"]),
+    }
     return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, about)

@@ -24,8 +24,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 import slam_gym
-from agents.evaluation.records import Record, command_line, plain, undamaged, versions, write_json, write_whole
-from agents.options import Execution
+from agents.evaluation.records import Record, command_line, plain, undamaged, versions, write_whole
 from slam_gym._files import content_of, json_of
 
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
@@ -83,13 +82,13 @@ class Results(NamedTuple):
         return list(self.frame["name"].unique())
 
 
-def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
+def carry_out(evaluation: Evaluation, out: Path, jobs: int | None = None, resume: bool = False) -> Results:
     """Run the tasks whose rows are not in `out` yet, and return the results.
 
-    Finished tasks are written at once, so that an interrupted evaluation can be resumed. Raises ValueError where `out`
-    contains anything but an evaluation that can be resumed with the same conditions.
+    Finished tasks are written at once, so that an interrupted evaluation can be resumed. `jobs` as in `run_all`. Raises
+    ValueError where `out` contains anything but an evaluation that can be resumed with the same conditions.
     """
-    before = _to_resume(out, evaluation, execution.resume)
+    before = _to_resume(out, evaluation, resume)
     commands, rows = (before.metadata["commands"], before.frame.to_dict("records")) if before else ([], [])
     commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
     order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
@@ -99,12 +98,12 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     def write_metadata() -> None:
         head = {"kind": evaluation.kind, "commands": commands, "complete": done >= order.keys()}
         more = {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()}
-        write_json(out / METADATA, head | more)
+        write_whole(out / METADATA, json.dumps(plain(head | more), indent=1, ensure_ascii=False) + "\n")
 
     out.mkdir(parents=True, exist_ok=True)
     write_metadata()
     try:
-        finished = run_all([task.rows for task in remaining], execution.jobs)
+        finished = run_all([task.rows for task in remaining], jobs)
         for new_rows in track(finished, "episodes", total=len(remaining)):
             rows += [row for row in new_rows if _key(row) not in done]
             rows.sort(key=lambda row: order.get(_key(row), len(order)))

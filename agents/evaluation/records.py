@@ -1,8 +1,6 @@
 """Records of episodes, and the files with records and their provenance."""
 
-import json
 import math
-import os
 import platform
 import re
 import shlex
@@ -10,13 +8,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import slam_gym
+from slam_gym._files import replacing
 
 Record = dict[str, Any]
 """Numbers of one episode. Lists and dicts, such as curves over time, become JSON in a cell of the table."""
@@ -42,14 +40,11 @@ def results_folder(name: str, resume: bool) -> Path:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text file completely or not at all. Raises OSError, naming the file."""
-    partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text(text, encoding="utf-8", newline="")
-        os.replace(partial, path)
+        with replacing(path) as file:
+            file.write(text.encode())
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -61,15 +56,8 @@ def undamaged(what: str | Path) -> Iterator[None]:
         raise ValueError(f"{what} is damaged ({type(error).__name__}: {error})") from error
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a file of standard JSON completely or not at all."""
-    write_whole(path, json.dumps(plain(content), indent=1, ensure_ascii=False) + "\n")
-
-
 def plain(value: Any) -> Any:
-    """The value as it is after writing and reading JSON: NaN and ±∞ become None, a dataclass becomes a dict."""
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
+    """The value as it is after writing and reading JSON: NaN and ±∞ become None."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

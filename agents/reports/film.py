@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,9 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation.associators import metered
-from agents.evaluation.drives import Driver
-from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.episodes import Driver, ExploreArguments, run_episode
 from agents.evaluation.records import stem
 from agents.evaluation.tables import display_name
-from slam_gym.association.prediction import Associator
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import pixels, pygame, text
 from slam_gym.rendering.panels import SIZE
@@ -53,7 +51,8 @@ def film(
     With `associators`, films the same episode with each of them, side by side. The film has at most about `FRAMES`
     frames, and a pause at the first wrong pairing.
     """
-    reels = [_shots(arguments, driver, episode, name and metered(name)[1]) for name in associators or [None]]
+    compared = [replace(arguments, associator=name) for name in associators] or [arguments]
+    reels = [_shots(each, driver, episode) for each in compared]
     above = [np.hstack([_heading(display_name(name)) for name in associators])] if associators else []
     path.parent.mkdir(parents=True, exist_ok=True)
     mp4 = {"codec": "libx264", "quality": 6, "macro_block_size": 2, "ffmpeg_log_level": "error"}
@@ -70,12 +69,10 @@ def film(
     return path.with_suffix(".png")
 
 
-def _shots(
-    arguments: ExploreArguments, driver: Driver, episode: int, associator: Associator | str | None
-) -> dict[int, Shot]:
+def _shots(arguments: ExploreArguments, driver: Driver, episode: int) -> dict[int, Shot]:
     """The shots of one episode by their ticks; the last one, of the end, has the tick after it."""
     agent, shots, wrong = driver.make(), dict[int, Shot](), False
-    env = arguments.make(agent.action, render_mode="rgb_array", associator=associator)
+    env = arguments.make(agent.action, render_mode="rgb_array")
     run: Any = env.unwrapped
     stride = max(1, round(run.scenario.budget / FRAMES))
 

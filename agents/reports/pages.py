@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import JOIN
-from agents.evaluation.drives import map_path
-from agents.evaluation.episodes import LOST_MEANS
+from agents.evaluation.episodes import LOST_MEANS, map_path
 from agents.evaluation.mapped_log import FOLDER
 from agents.evaluation.pipeline import Results, read_results
 from agents.evaluation.records import stem, undamaged, write_whole

@@ -15,7 +15,6 @@ from agents.suite import (
     ask,
     association_record,
     evaluate,
-    judge,
     judge_relocation,
     problems,
     relocation_problems,
@@ -74,21 +73,18 @@ def deciding(*features) -> Hypothesis:
 def test_an_answer_is_judged_by_hand():
     right = np.array([3, 5, UNPAIRED, 7, UNPAIRED])
 
-    def earned(*features) -> tuple[tuple[int, ...], float, float]:
-        found = judge(np.array(features), right)
+    def earned(*features):
         record = association_record([deciding(*features)], [right])
-        return found, record["score"], record["exact"]
+        return tuple(record[name] for name in ("precision", "recall", "refused", "score", "exact"))
 
-    assert earned(*right) == ((3, 0, 0, 3), 1.0, 1.0)
-    assert earned(*[UNPAIRED] * 5) == ((0, 0, 3, 3), 0.0, 0.0)
-    assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == ((2, 0, 1, 3), pytest.approx(2 / 3), 0.0)
-    assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == ((1, 2, 0, 3), 0.0, 0.0)
-    assert earned(3, 5, 9, 7, UNPAIRED) == ((3, 1, 0, 3), 0.0, 0.0)
+    assert earned(*right) == (1.0, 1.0, 0.0, 1.0, 1.0)
+    assert earned(*[UNPAIRED] * 5) == pytest.approx((math.nan, 0.0, 1.0, 0.0, 0.0), nan_ok=True)
+    assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == pytest.approx((1.0, 2 / 3, 1 / 3, 2 / 3, 0.0))
+    assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == pytest.approx((1 / 3, 1 / 3, 0.0, 0.0, 0.0))
+    assert earned(3, 5, 9, 7, UNPAIRED) == (0.75, 1.0, 0.0, 0.0, 0.0)
     both = association_record([deciding(*right), deciding(5, 3, UNPAIRED, 7, UNPAIRED)], [right, right])
     assert (both["score"], both["spoiled"], both["precision"]) == (0.0, 0.5, 4 / 6)  # a spoiled scan earns −1
     assert math.isnan(association_record([], [])["score"])
-    with pytest.raises(ValueError, match="4 decisions for 5 measurements"):
-        judge(np.full(4, UNPAIRED), right)
 
 
 @pytest.mark.parametrize(

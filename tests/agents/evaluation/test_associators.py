@@ -8,11 +8,9 @@ import pytest
 
 from agents.drivers.base import make_agent
 from agents.evaluation.associators import SHIPPED, Metered, metered
-from agents.evaluation.drives import associator_evaluation
-from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
+from agents.evaluation.episodes import ExploreArguments, associator_evaluation, reset_arguments, run_episode
 from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import grouped
-from agents.options import Execution
 from agents.reports.pages import headline
 from slam_gym.association import ASSOCIATORS, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv
@@ -25,7 +23,7 @@ SMALL = ExploreArguments("office-small")
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     evaluation = associator_evaluation(NAMES, [SMALL], "nearest_frontier", range(2), [None])
-    return carry_out(evaluation, tmp_path_factory.mktemp("associators"), Execution(jobs=1))
+    return carry_out(evaluation, tmp_path_factory.mktemp("associators"), jobs=1)
 
 
 def test_every_associator_meets_the_same_episodes_and_the_truth_makes_no_mistake(finished):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
-from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.episodes import Driver, ExploreArguments, driver_evaluation, drivers_of, run_episode
 from agents.evaluation.pipeline import carry_out
-from agents.options import Execution
 from agents.reports.pages import drive_tables
 from slam_gym.metrics.statistics import interquartile_mean
 
@@ -18,7 +16,7 @@ from slam_gym.metrics.statistics import interquartile_mean
 def finished(tmp_path_factory):
     drivers = drivers_of(["random", "nearest_frontier"], [], False)
     evaluation = driver_evaluation(drivers, [ExploreArguments("office-small", (("budget", 80),))], range(3))
-    return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), Execution(jobs=1))
+    return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), jobs=1)
 
 
 def test_every_agent_drives_the_same_episodes(finished):

@@ -9,16 +9,15 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info
 
-from agents.evaluation.drives import Driver, associator_evaluation, driver_evaluation
-from agents.evaluation.episodes import ExploreArguments
+from agents.evaluation.episodes import Driver, ExploreArguments, associator_evaluation, driver_evaluation
 from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results, run_all
-from agents.options import Execution, Suite
+from agents.options import Suite
 from agents.suite import suite_evaluation
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
 from slam_gym.weights import load, write
 from tests.agents.evaluation import timeless
 
-NEW, RESUMED = (Execution(jobs=1, resume=resume) for resume in (False, True))
+NEW, RESUMED = ({"jobs": 1, "resume": resume} for resume in (False, True))
 SMALL = ExploreArguments("office-small", (("budget", 60),))
 
 
@@ -46,27 +45,27 @@ def counting(tasks, **conditions) -> Evaluation:
     ],
 )
 def test_resumed_is_the_same_as_uninterrupted(tmp_path, evaluation):
-    whole = carry_out(evaluation(), tmp_path / "whole", NEW)
-    carry_out(evaluation(), tmp_path / "cut", NEW)
+    whole = carry_out(evaluation(), tmp_path / "whole", **NEW)
+    carry_out(evaluation(), tmp_path / "cut", **NEW)
     frame = pd.read_csv(tmp_path / "cut" / "results.csv")
     frame[:2].to_csv(tmp_path / "cut" / "results.csv", index=False)  # as if it had been interrupted
-    resumed = carry_out(evaluation(), tmp_path / "cut", RESUMED)
+    resumed = carry_out(evaluation(), tmp_path / "cut", **RESUMED)
     assert resumed.metadata["complete"] and len(resumed.metadata["commands"]) == 2
     assert timeless(resumed.frame) == timeless(whole.frame)
 
 
 def test_an_interruption_keeps_what_is_finished(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        carry_out(counting([task(0), task(1, fails=True)]), tmp_path, NEW)
+        carry_out(counting([task(0), task(1, fails=True)]), tmp_path, **NEW)
     found = read_results(tmp_path)
     assert list(found.frame["episode"]) == [0, 0] and not found.metadata["complete"]
-    again = carry_out(counting([task(0, fails=True), task(1)]), tmp_path, RESUMED)
+    again = carry_out(counting([task(0, fails=True), task(1)]), tmp_path, **RESUMED)
     assert list(again.frame["episode"]) == [0, 0, 1, 1] and again.metadata["complete"]
 
 
 def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown_away(tmp_path):
-    carry_out(counting([task(k, ("b", "a")) for k in range(3)]), tmp_path, NEW)
-    again = carry_out(counting([task(1, ("a", "b")), task(3, ("a",))]), tmp_path, RESUMED)
+    carry_out(counting([task(k, ("b", "a")) for k in range(3)]), tmp_path, **NEW)
+    again = carry_out(counting([task(1, ("a", "b")), task(3, ("a",))]), tmp_path, **RESUMED)
     first = [("a", 1), ("b", 1), ("a", 3)]
     assert list(zip(again.frame["name"], again.frame["episode"]))[:3] == first and len(again.frame) == 7
     assert again.names == ["a", "b"] and again.metadata["complete"]
@@ -75,7 +74,7 @@ def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown
 @pytest.mark.parametrize("program", [["slam-gym", "evaluate"], ["agents/evaluate.py"]])
 def test_csv_and_json_say_what_was_run(tmp_path, monkeypatch, program):
     monkeypatch.setattr(sys, "argv", [*program, "--episodes", "2"])
-    results = carry_out(counting([task(0)], split="test"), tmp_path, NEW)
+    results = carry_out(counting([task(0)], split="test"), tmp_path, **NEW)
     frame = pd.read_csv(tmp_path / "results.csv")
     assert list(frame.columns) == ["name", "setting", "episode", "model", "value", "curve"]
     assert list(frame["value"]) == [0.1, 0.1] and json.loads(frame["curve"][0]) == [1, 2]
@@ -86,7 +85,7 @@ def test_csv_and_json_say_what_was_run(tmp_path, monkeypatch, program):
 
 
 def test_a_folder_belongs_to_one_evaluation(tmp_path):
-    carry_out(counting([task(0)], split="test"), tmp_path / "own", NEW)
+    carry_out(counting([task(0)], split="test"), tmp_path / "own", **NEW)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("mine")
     for folder, changed, how, said in (
@@ -96,24 +95,24 @@ def test_a_folder_belongs_to_one_evaluation(tmp_path):
         ("new", {"split": "test"}, RESUMED, "no evaluation to resume"),
     ):
         with pytest.raises(ValueError, match=said):
-            carry_out(counting([task(1)], **changed), tmp_path / folder, how)
+            carry_out(counting([task(1)], **changed), tmp_path / folder, **how)
     assert not (tmp_path / "new").exists() and len(list((tmp_path / "other").iterdir())) == 1
 
 
 def test_a_model_that_has_changed_is_not_resumed(tmp_path):
     write(tmp_path / "own.npz", load("ppo", VERSION, INPUTS, SHAPES))
     names = [str(tmp_path / "own.npz")]
-    carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", NEW)
+    carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", **NEW)
     (tmp_path / "own.npz").open("ab").write(b"more")
     with pytest.raises(ValueError, match=r"own.npz is not the file of which .*out holds results"):
-        carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", RESUMED)
+        carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", **RESUMED)
 
 
 def test_a_folder_without_results_is_refused_by_name(tmp_path):
     with pytest.raises(ValueError, match=str(tmp_path)):
         read_results(tmp_path)
     with pytest.raises(ValueError, match="no finished episode yet"):
-        carry_out(counting([]), tmp_path, NEW)
+        carry_out(counting([]), tmp_path, **NEW)
 
 
 WRONG = {
@@ -127,13 +126,13 @@ WRONG = {
 
 @pytest.mark.parametrize(("file", "content"), [(file, content) for file in WRONG for content in WRONG[file]])
 def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, content):
-    told = carry_out(counting([task(0)]), tmp_path, NEW).metadata
+    told = carry_out(counting([task(0)]), tmp_path, **NEW).metadata
     content = json.dumps(told | content) if isinstance(content, dict) else content
     (tmp_path / file).write_bytes(content.encode("latin-1"))
     with pytest.raises(ValueError, match=file):
         read_results(tmp_path)
     with pytest.raises(ValueError, match=file):
-        carry_out(counting([task(0)]), tmp_path, RESUMED)
+        carry_out(counting([task(0)]), tmp_path, **RESUMED)
 
 
 def square(number):
@@ -151,9 +150,9 @@ def test_every_call_is_answered_once_on_one_thread(jobs):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a disk that is full")
 @pytest.mark.parametrize("file", WRONG)
 def test_a_full_disk_is_told_with_the_file_and_leaves_the_old_one_whole(tmp_path, file):
-    carry_out(counting([task(0)]), tmp_path, NEW)
+    carry_out(counting([task(0)]), tmp_path, **NEW)
     before = (tmp_path / file).read_bytes()
-    (tmp_path / f"{file}.partial").symlink_to("/dev/full")
+    (tmp_path / f".{file}.{os.getpid()}").symlink_to("/dev/full")
     with pytest.raises(OSError, match=rf"No space left on device: .*{file}'"):
-        carry_out(counting([task(0), task(1)]), tmp_path, RESUMED)
+        carry_out(counting([task(0), task(1)]), tmp_path, **RESUMED)
     assert (tmp_path / file).read_bytes() == before

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.evaluation.drives import Driver
-from agents.evaluation.episodes import ExploreArguments
+from agents.evaluation.episodes import Driver, ExploreArguments
 from agents.reports import film as filming
 
 SMALL = ExploreArguments("office-small")
