@@ -17,7 +17,7 @@ from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, chosen
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.kidnapping import is_right
-from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
+from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap
 from slam_gym.slam.relocate import LOCALITIES, LocalityName
 from slam_gym.types import UNPAIRED, IntArray
 from slam_gym.validation import check_number, one_of
@@ -173,8 +173,8 @@ class RelocateEnv(BaseEnv):
 
     def _begin(self, world: int) -> Observation:
         if world not in self._maps:  # the last map is kept, since several episodes have it
-            mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
-            self._maps = {world: mapped}
+            made = MappedWorld(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
+            self._maps = {world: made}
         self.mapped = self._maps[world]
         inside = bool(self.np_random.random() >= self.arguments.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)

@@ -88,7 +88,10 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
-        self.grid = ExploredGrid(_bounds_in_base(site.plan.bounds, self.base), scenario.grid_resolution)
+        x0, y0, x1, y1 = site.plan.bounds
+        corners = observe(self.base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))  # in B
+        bounds = np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
+        self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._cells = self.grid.cells  # a view, which changes with the grid
         sensor = scenario.sensor
         sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=self.grid.explored)
@@ -198,10 +201,3 @@ class Episode:
             self._appraised = error, map_quality.coverage(self._cells, self._reachable)
             self._appraised_at = self.ticks
         return self._appraised
-
-
-def _bounds_in_base(bounds: Array, base: Array) -> Array:
-    """Bounds (4,) in B that contain the rectangle `bounds` (4,) in W, with a margin."""
-    x0, y0, x1, y1 = bounds
-    corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
-    return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from slam_gym.geometry import relative
 from slam_gym.scenarios import KidnappingSpec
@@ -32,8 +33,13 @@ class Kidnapping:
         """
         if self._spec is None or self.happened is not None or tick < self._spec.at * self._budget:
             return None
-        self.happened, trail = tick, np.array(been)
-        place = _place_been(trail, self._spec.distance, rng) if self._spec.inside else _place_not_been(trail, cells)
+        self.happened, trail = tick, np.array(been)[:, :2]
+        if self._spec.inside:  # at least so far from the last place, or as far as possible
+            distances = np.hypot(*(trail - trail[-1]).T)
+            far = np.flatnonzero(distances >= min(self._spec.distance, float(distances.max())))
+            place = trail[rng.choice(far)]
+        else:  # the place that is farthest from all where the robot has been
+            place = cells[cKDTree(trail[::10]).query(cells)[0].argmax()]
         return np.append(place, rng.uniform(-math.pi, math.pi))
 
     def judge(self, tick: int, estimate: Array, true: Array, relocations: int, lost: bool) -> None:
@@ -50,18 +56,3 @@ def is_right(estimate: Array, true: Array, position: float = POSITION, heading: 
     """Whether a pose (3,) is within `position` [m] and `heading` [rad] of the true pose (3,)."""
     x, y, turn = relative(true, estimate).tolist()
     return math.hypot(x, y) <= position and abs(turn) <= heading
-
-
-def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array:
-    """A random one of the poses `been` (t, 3), at least `distance` [m] from the last one or as far as possible."""
-    distances = np.hypot(*(been[:, :2] - been[-1, :2]).T)
-    far = np.flatnonzero(distances >= min(distance, float(distances.max())))
-    return np.asarray(been[rng.choice(far), :2])
-
-
-def _place_not_been(been: Array, cells: Array) -> Array:
-    """The reachable place (2,) that is farthest from all poses where the robot has been."""
-    nearest = np.full(len(cells), math.inf)
-    for pose in been[::10]:
-        nearest = np.minimum(nearest, np.hypot(cells[:, 0] - pose[0], cells[:, 1] - pose[1]))
-    return np.asarray(cells[int(np.argmax(nearest))])

@@ -1,6 +1,5 @@
 """Relocation problems: a map that a robot has made by SLAM, and scans from inside and from outside of it."""
 
-import copy
 import math
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -9,16 +8,14 @@ import numpy as np
 
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose
-from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
 from slam_gym.simulation.association_runs import drive, nearest_frontier
 from slam_gym.simulation.driver import commands
-from slam_gym.simulation.episode import Episode, Site, survey
+from slam_gym.simulation.episode import Episode, survey
 from slam_gym.simulation.goals import LOOK
 from slam_gym.slam.relocate import LocalityName, locality_of
-from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
-from slam_gym.world.ray_casting import Moving
+from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Locality, Scan
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
@@ -26,19 +23,42 @@ KNOWN = 5  # least number of measurements of mapped features in a scan from insi
 _DRAWS = 100  # places tried for such a scan
 
 
-@dataclass(frozen=True, eq=False)
 class MappedWorld:
-    """A world, the map that SLAM has made of it, and the truth: everything that `kidnap` draws problems from."""
+    """A world, the map that SLAM has made of it, and the truth: everything that `kidnap` draws problems from.
 
-    site: Site
-    base: Array  # (3,) pose of B in W
-    landmarks: Landmarks
-    graph: CovisibilityGraph
-    identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS: none, or the landmark is a duplicate
-    trail: Array  # (t, 3) true poses of the robot that made the map, in W
-    moving: Moving  # people and furniture at the end of mapping
-    sensor: Sensor
-    elsewhere: Site | None  # another world; None if the scenario has only one
+    A robot has explored the world, by nearest frontiers and then revisits, until the budget of the scenario was spent.
+    Nobody carried it away while it mapped: no search would have relocated it. Scans from outside come from the next
+    world of `elsewhere` (default: of the scenario itself).
+
+    The result depends on the arguments only. Raises ValueError for a world outside the split, and as `survey` does.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        split: str,
+        world: int,
+        associator: str | Associator,
+        elsewhere: Scenario | None = None,
+    ) -> None:
+        rng = np.random.default_rng((world_seed(split, world), 2))
+        self.site = survey(scenario.generator(world_generator(split, world)), scenario)
+        episode = Episode(replace(scenario, kidnapping=None), self.site, associator, rng)
+        for forward, turn in chain(commands(episode, LOOK, np.zeros(2)), drive(episode, nearest_frontier, episode.rng)):
+            episode.tick(forward, turn)
+        self.base = episode.base  # (3,) pose of B in W
+        self.landmarks, self.graph = episode.slam.map.landmarks(), episode.slam.covisibility
+        sources = episode.identities.source_of(episode.slam.map.ids)
+        oldest = np.isin(np.arange(len(sources)), np.unique(sources, return_index=True)[1])
+        # (n,) true feature behind each landmark; SPURIOUS: none, or the landmark is a duplicate of an older one
+        self.identities: IntArray = np.where(oldest & (sources >= 0), sources, SPURIOUS)
+        self.trail = np.array(episode.poses)  # (t, 3) true poses of the robot that made the map, in W
+        self.moving = episode.world.people, episode.world.furniture_segments  # at the end of mapping
+        self.sensor = episode.sensor
+        elsewhere = elsewhere or scenario
+        other = elsewhere.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
+        is_only_world = np.array_equal(other.walls, self.site.plan.walls)
+        self.elsewhere = None if is_only_world else survey(other, elsewhere)  # another world
 
     def locality(self, kind: LocalityName | None) -> Locality | None:
         """The locality of the landmarks of the given kind."""
@@ -54,36 +74,6 @@ class Kidnapped:
     true_pose: Array  # (3,) in W of the world of the scan
     pose: Array  # (3,) in B of the map: the true pose, relative to the landmarks around it; NaN outside
     features: IntArray  # (m,) landmark behind each measurement; UNPAIRED: spurious or not in the map
-
-
-def map_world(
-    scenario: Scenario, split: str, world: int, associator: str | Associator, elsewhere: Scenario | None = None
-) -> MappedWorld:
-    """Let a robot explore a world, by nearest frontiers and then revisits, until the budget of the scenario is spent.
-
-    Nobody carries it away while it maps: no search would relocate it.
-    Scans from outside come from the next world of `elsewhere` (default: of the scenario itself).
-
-    The result depends on the arguments only. Raises ValueError for a world outside the split, and as `survey` does.
-    """
-    rng = np.random.default_rng((world_seed(split, world), 2))
-    site = survey(scenario.generator(world_generator(split, world)), scenario)
-    episode = Episode(replace(scenario, kidnapping=None), site, associator, rng)
-    for forward, turn in chain(commands(episode, LOOK, np.zeros(2)), drive(episode, nearest_frontier, episode.rng)):
-        episode.tick(forward, turn)
-    elsewhere = elsewhere or scenario
-    other = elsewhere.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
-    return MappedWorld(
-        site,
-        episode.base,
-        episode.slam.map.landmarks(),
-        copy.deepcopy(episode.slam.covisibility),
-        _identities(episode),
-        np.array(episode.poses),
-        (episode.world.people, episode.world.furniture_segments),
-        episode.sensor,
-        None if np.array_equal(other.walls, site.plan.walls) else survey(other, elsewhere),
-    )
 
 
 def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random.Generator) -> Kidnapped:
@@ -102,14 +92,6 @@ def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random
             break
     assert best is not None
     return best
-
-
-def _identities(episode: Episode) -> IntArray:
-    """(n,) true feature behind each landmark, SPURIOUS for landmarks without one and for duplicates of an older one."""
-    sources = episode.identities.source_of(episode.slam.map.ids)
-    first = np.zeros(len(sources), np.bool_)
-    first[np.unique(sources, return_index=True)[1]] = True
-    return np.where(first & (sources >= 0), sources, SPURIOUS)
 
 
 def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
