@@ -4,8 +4,9 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self, TypeVar, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import gymnasium as gym
 import numpy as np
@@ -224,11 +225,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return observation, info
 
     def __reduce__(self) -> Any:
-        return self._constructed, (vars(self.arguments),), (self._snapshot, self._np_random, self._carried_over())
-
-    @classmethod
-    def _constructed(cls, arguments: dict[str, Any]) -> Self:
-        return cls(**arguments)
+        again = partial(type(self), **vars(self.arguments))
+        return again, (), (self._snapshot, self._np_random, self._carried_over())
 
     def __setstate__(self, state: tuple[Snapshot | None, np.random.Generator | None, dict[str, Any]]) -> None:
         snapshot, generator, carried_over = state
