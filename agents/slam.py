@@ -65,7 +65,7 @@ def main(
             print("the maps are not joined: the robot was lost, or the sigmas are too small")
         if slam.missed_loop:
             print("a place is probably mapped twice: features that were seen from there before are missing")
-        if slam.tracker is not None and slam.tracker.slips:
+        if slam.tracker.slips:
             print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}")
         if doubted:
             print(f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing")

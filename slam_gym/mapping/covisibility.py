@@ -41,10 +41,6 @@ class CovisibilityGraph:
         self.n = 0
         self.counts: Counts = np.zeros((_ROOM, _ROOM), np.int32)  # as compiled functions take them
 
-    def learned(self, created: int) -> None:
-        """Register that a compiled step has added `created` nodes to the arrays, or removed −`created`."""
-        self.n += created
-
     def make_room(self, more: int) -> None:
         """Make room for `more` nodes, by doubling the capacity."""
         room = len(self.counts)
@@ -105,28 +101,11 @@ class CovisibilityGraph:
         graph.keep(np.delete(np.arange(self.n), dropped))
         return graph
 
-    def count(self, i: int, j: int) -> int:
-        """The number of scans that saw both features. Raises IndexError where one is not in the graph."""
-        if not (0 <= i < self.n and 0 <= j < self.n):
-            raise IndexError(f"features {i} and {j} in a graph of {self.n}")
-        return int(self.counts[i, j])
-
     def neighbours(self, i: int) -> IntArray:
-        """Features seen together with i, ascending. Raises IndexError like `count`."""
+        """Features seen together with i, ascending. Raises IndexError where i is not in the graph."""
         if not 0 <= i < self.n:
             raise IndexError(f"feature {i} in a graph of {self.n}")
         return np.flatnonzero(self.counts[i])
-
-    def local_to(self, features: IntArray) -> BoolArray:
-        """(n,) whether each node is one of `features` or a neighbour of one. Raises ValueError as `see_together`."""
-        return mark_local(self.counts, self.n, indices("features", features, self.n, UNPAIRED))
-
-    def among(self, features: IntArray) -> BoolArray:
-        """(j, j) whether each two of `features` (j,) are neighbours or the same; symmetric.
-
-        Raises ValueError where a feature is not in the graph.
-        """
-        return among(self.counts, indices("features", features, self.n))
 
     def edges(self) -> Edges:
         """All edges, in ascending order."""
@@ -170,7 +149,8 @@ def keep_nodes(counts: Counts, n: int, kept: IntArray) -> None:
 
 @compiled
 def mark_local(counts: Counts, n: int, features: IntArray) -> BoolArray:
-    """`CovisibilityGraph.local_to`; without counts, (0, 0), all n features are local."""
+    """(n,) whether each feature is one of `features` (j,), or UNPAIRED, or a neighbour of one; without counts, (0, 0),
+    all n are local."""
     local = np.full(n, len(counts) == 0)
     for f in features:
         if f >= 0 and len(counts) > 0:
@@ -182,7 +162,7 @@ def mark_local(counts: Counts, n: int, features: IntArray) -> BoolArray:
 
 @compiled
 def among(counts: Counts, features: IntArray) -> BoolArray:
-    """`CovisibilityGraph.among`."""
+    """(j, j) whether each two of `features` (j,) are neighbours or the same; symmetric."""
     out = np.empty((len(features), len(features)), np.bool_)
     for i in range(len(features)):
         for j in range(len(features)):

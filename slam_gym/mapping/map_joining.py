@@ -34,35 +34,24 @@ UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
 _MIN_VARIANCE = 1e-12  # [m²], [rad²] added to the variances of a local map that is joined with others
 
 
-def join(a: StochasticMap, b: StochasticMap) -> StochasticMap:
+def join(a: StochasticMap, b: StochasticMap, base: Array | None = None, *, robot_of_a: bool = False) -> StochasticMap:
     """Join two maps in the base of `a`: the features of `a`, then those of `b`, without matching them.
 
-    The base of `b` is the robot pose of `a`. The robot is that of `b`; the settings are those of `a`. Raises ValueError
-    where both maps use an id.
+    The base of `b` is the robot pose of `a`, or the pose `base` (3,), of uninformative covariance, which `equate` then
+    determines. The robot is that of `b`, or, with `base`, that of `a` if `robot_of_a`; the settings are those of `a`.
+    Neither map is changed. Raises ValueError where both maps use an id.
     """
-    first, second = a.state, b.state
-    mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
-    return _with_features_of_both(a, b, mean, covariance)
-
-
-def join_at(a: StochasticMap, b: StochasticMap, base: Array, *, robot_of_a: bool = False) -> StochasticMap:
-    """Join two maps in the base of `a`, with the base of `b` at the pose `base` (3,), of uninformative covariance.
-
-    `equate` then determines that pose. The robot is that of `b`, or of `a`. Neither map is changed. Raises as `join`.
-    """
-    first, second = a.state, b.state  # for the equations, the base of b is one more robot of a
-    mean_a, P_a = np.concatenate([base, first.mean]), block_diag(UNKNOWN_POSE, first.covariance)
-    mean, covariance = joined_estimate(mean_a, P_a, second.mean, second.covariance)
-    entries = np.delete(np.arange(len(mean)), np.arange(3) + (0 if robot_of_a else 3))  # without the other robot
-    return _with_features_of_both(a, b, mean[entries], covariance[np.ix_(entries, entries)])
-
-
-def _with_features_of_both(a: StochasticMap, b: StochasticMap, mean: Array, covariance: Array) -> StochasticMap:
-    """The map of a joined estimate, with the features of `a`, then those of `b`. Raises as `join`."""
     first, second = a.state, b.state
     common = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
     if len(common):
         raise ValueError(f"ids: both maps have features {common[:5].tolist()}")
+    if base is None:
+        mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
+    else:  # for the equations, the base of b is one more robot of a
+        mean_a, P_a = np.concatenate([base, first.mean]), block_diag(UNKNOWN_POSE, first.covariance)
+        mean, covariance = joined_estimate(mean_a, P_a, second.mean, second.covariance)
+        entries = np.delete(np.arange(len(mean)), np.arange(3) + (0 if robot_of_a else 3))  # without the other robot
+        mean, covariance = mean[entries], covariance[np.ix_(entries, entries)]
     step, next_id = max(first.step, second.step), max(first.next_id, second.next_id)
     counted = np.concatenate([first.counted, second.counted], axis=1)
     sized = np.concatenate([first.sized, second.sized], axis=1)

@@ -116,10 +116,14 @@ class FactorGraph:
 
     def optimum(self, poses: Array, ids: IntArray) -> Smoothed:
         """The optimum reached from initial `poses` (T, 3), the first of which stays fixed; `ids` (L,) of the features.
+        Positions start where these poses first see them.
 
         Raises ValueError where the iterations run out.
         """
-        x, damping = self.start(poses), 0.0
+        first = np.unique(self.feature, return_index=True)[1]  # the point by which each feature is first seen
+        at, seen = poses[self.pose[first]], self.points[first]
+        x = np.concatenate([poses[1:].ravel(), (at[:, :2] + _turned(at[:, 2], seen)).ravel()])
+        damping = 0.0
         errors, jacobian = self.linearise(poses[0], x)
         chi2 = float(errors @ (self.information @ errors))
         for iteration in range(1, _ITERATIONS + 1):
@@ -140,12 +144,6 @@ class FactorGraph:
                 optimal_poses, positions = self.split(poses[0], x)
                 return Smoothed(optimal_poses, ids, positions, chi2, normal, iteration)
         raise ValueError(f"no optimum in {_ITERATIONS} iterations: χ² is {chi2:.6g} and still falls")
-
-    def start(self, poses: Array) -> Array:
-        """Initial x (3(T − 1) + 2L,): all `poses` but the first, and each position where these first see it."""
-        first = np.unique(self.feature, return_index=True)[1]
-        at, seen = poses[self.pose[first]], self.points[first]
-        return np.concatenate([poses[1:].ravel(), (at[:, :2] + _turned(at[:, 2], seen)).ravel()])
 
     def split(self, first: Array, x: Array) -> tuple[Array, Array]:
         """Split the unknowns x into poses (T, 3), after the `first` (3,), and positions (L, 2)."""

@@ -268,7 +268,7 @@ class StochasticMap:
         staying[indices("features", features, self.n)] = False
         kept = np.flatnonzero(staying)
         ekf.keep(self.arrays, kept)
-        self.learned(len(kept) - self.n)
+        self.learned(0, self.n - len(kept))
         return kept
 
     def end_of_step(self) -> None:
@@ -386,21 +386,16 @@ class StochasticMap:
         """The arrays that compiled functions work on, not copied: after writing to them, call `moved` or `learned`."""
         return self._x, self._P, self._counted, self._sized
 
-    @property
-    def numbers(self) -> tuple[int, int, int]:
-        """Number of features, number of steps ended, and id of the next feature."""
-        return self.n, self.step, self.next_id
-
     def moved(self) -> None:
         """Register that the estimate has changed: predictions made from it before are out of date."""
         self.estimate.stands = False
         self.estimate = Estimate()
 
-    def learned(self, created: int) -> None:
-        """Register that `created` features were added to the arrays, or −`created` removed."""
+    def learned(self, created: int, removed: int = 0) -> None:
+        """Register that `created` features were added to the arrays, and then `removed` ones removed."""
         self.moved()
-        self.n += created
-        self.next_id += max(created, 0)
+        self.n += created - removed
+        self.next_id += created
 
     @property
     def _d(self) -> int:

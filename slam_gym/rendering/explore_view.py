@@ -117,9 +117,9 @@ def _figures(episode: Episode) -> Figures:
 
 
 def _whereabouts(episode: Episode) -> Figures:
-    """The kidnapping and the robot's reaction to it; empty without kidnapping and tracker."""
+    """The kidnapping and the robot's reaction to it; empty without kidnapping and relocation."""
     kidnapping = episode.kidnapping
-    if episode.scenario.kidnapping is None and episode.slam.tracker is None:
+    if episode.scenario.kidnapping is None and episode.slam.relocator is None:
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"at {kidnapping.happened}"),)
     states = {"is lost": episode.slam.lost, "in doubt": episode.slam.doubted, "missed a loop": episode.slam.missed_loop}

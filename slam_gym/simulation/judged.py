@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,8 +45,10 @@ class JudgedSlam:
         self._knows_truth = isinstance(associator, str) and associator == CEILING
         self._associate = resolve_associator(associator)
         self._informed = informed
-        if self._knows_truth and isinstance(slam, Slam) and slam.atlas is not None:
-            slam.atlas.trust_associator()
+        if self._knows_truth and isinstance(slam, Slam):
+            slam.spec = replace(
+                slam.spec, max_accidental_matches=math.inf, max_chance_probability=1.0, trust_marginals=True
+            )
 
     @property
     def tally(self) -> Tally:

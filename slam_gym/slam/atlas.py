@@ -24,7 +24,6 @@ of a map that becomes inactive are `removed` in the `SlamStep` of that moment, a
 """
 
 import functools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -77,56 +76,15 @@ class Atlas:
     Arguments:
         spec: settings.
         relocate: finds a scan in an inactive map.
-        max_accidental_matches, max_chance_probability, trust_marginals: as in `SlamSpec`.
     """
 
-    def __init__(
-        self,
-        spec: AtlasSpec,
-        relocate: Relocate,
-        max_accidental_matches: float,
-        max_chance_probability: float,
-        trust_marginals: bool,
-    ) -> None:
+    def __init__(self, spec: AtlasSpec, relocate: Relocate) -> None:
         self.spec = spec
         self.inactive: list[MappedArea] = []  # not joined yet, oldest first
         self.fusions: list[FusionRecord] = []
-        self.max_accidental_matches = max_accidental_matches
-        self.max_chance_probability = max_chance_probability
-        self.trust_marginals = trust_marginals
         self._relocate = relocate
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
         self._searched: IntArray = np.empty(0, np.int64)  # ids of the recent part that was last searched for
-
-    def most_accidental(self, weighs_all: bool) -> float:
-        """The number of accidental matches in the gate of an old feature above which that feature is not offered to the
-        associator, which may be one that weighs all hypotheses: it then returns an `experience`."""
-        return math.inf if weighs_all and self.trust_marginals else self.max_accidental_matches
-
-    def trust_associator(self) -> None:
-        """Withhold no ambiguous feature from the associator from now on, and reject none of its pairings."""
-        self.max_accidental_matches, self.max_chance_probability, self.trust_marginals = math.inf, 1.0, True
-
-    def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
-        """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`).
-
-        Of an associator that weighs all hypotheses and is not exempt, only the pairings count, and new features start
-        by the rule of the step.
-        """
-        weighs_all = hypothesis.experience is not None
-        if weighs_all and self.trust_marginals:
-            return hypothesis
-        pairings = replace(hypothesis, new=None) if weighs_all else hypothesis
-        if self.max_chance_probability >= 1.0:
-            return pairings
-        rejected = are_accidental(scan, prediction, hypothesis.features, self.max_chance_probability)
-        if not rejected.any():
-            return pairings
-        features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
-        offered = np.isin(features, prediction.features)
-        rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
-        distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
-        return replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""
@@ -186,7 +144,9 @@ class Atlas:
             joined = join_recognised(older, active, recent, spec) if is_new else None
             found = self._relocate(scan, *older, reach, None) if joined is None else None
             if found is not None:
-                joined = join_relocated(older, active, found, _features_of(step, active.map), spec)
+                index = {feature: position for position, feature in enumerate(active.map.ids.tolist())}
+                features = np.array([index.get(feature, UNPAIRED) for feature in step.ids.tolist()], np.int64)
+                joined = join_relocated(older, active, found, features, spec)
             if joined is not None:
                 del self.inactive[position]
                 self._search_everywhere, self._searched = True, self._searched[:0]
@@ -199,7 +159,25 @@ class Atlas:
         return fusion
 
 
-def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:
-    """(m,) index of the map feature that each measurement has updated or started, or UNPAIRED."""
-    index = {feature: position for position, feature in enumerate(m.ids.tolist())}
-    return np.array([index.get(feature, UNPAIRED) for feature in step.ids.tolist()], np.int64)
+def accepted(
+    scan: Scan, prediction: Prediction, hypothesis: Hypothesis, max_chance_probability: float, trust_marginals: bool
+) -> Hypothesis:
+    """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`).
+
+    Of an associator that weighs all hypotheses and is not exempt, only the pairings count, and new features start by
+    the rule of the step. The settings are those of `SlamSpec`.
+    """
+    weighs_all = hypothesis.experience is not None
+    if weighs_all and trust_marginals:
+        return hypothesis
+    pairings = replace(hypothesis, new=None) if weighs_all else hypothesis
+    if max_chance_probability >= 1.0:
+        return pairings
+    rejected = are_accidental(scan, prediction, hypothesis.features, max_chance_probability)
+    if not rejected.any():
+        return pairings
+    features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
+    offered = np.isin(features, prediction.features)
+    rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
+    distance = joint_distance_of(scan.arrays, expected_of(*prediction.arrays), rows)
+    return replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)

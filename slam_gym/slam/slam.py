@@ -16,26 +16,13 @@ from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, graph_of
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.slam.atlas import Atlas, AtlasSpec
-from slam_gym.slam.missed_loops import MissedLoops
+from slam_gym.slam.atlas import Atlas, AtlasSpec, accepted
 from slam_gym.slam.negative_evidence import NegativeEvidence
 from slam_gym.slam.places.fusion import MappedArea
 from slam_gym.slam.places.loops import NO_PAIRS
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import Settings, learn
-from slam_gym.types import (
-    NO_ID,
-    UNPAIRED,
-    Array,
-    BoolArray,
-    Effort,
-    Experience,
-    Hypothesis,
-    IntArray,
-    Odometry,
-    Relocation,
-    Scan,
-)
+from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, Effort, Experience, Hypothesis, Odometry, Relocation, Scan
 from slam_gym.validation import Checked, check_hypothesis, check_inputs
 
 _NO_FEATURES = np.empty(0, np.int64)
@@ -97,22 +84,18 @@ class Slam:
             raise ValueError(f"atlas: {atlas!r}, expected an AtlasSpec")
         self.spec = spec or SlamSpec()
         self.view_from, self.relocator = view_from, relocate
-        self.tracker: Tracker | None = None
+        self.tracker = Tracker(self.spec.lost_fraction, self.spec.lost_scans, self.spec.min_expected)
         self.atlas: Atlas | None = None
-        if relocate is not None:
-            self.tracker = Tracker(self.spec.lost_fraction, self.spec.lost_scans, self.spec.min_expected)
         if atlas is not None:
             if relocate is None:
                 raise ValueError("atlas: needs `relocate`, which finds a lost robot")
-            limits = self.spec.max_accidental_matches, self.spec.max_chance_probability, self.spec.trust_marginals
-            self.atlas = Atlas(atlas, relocate, *limits)
+            self.atlas = Atlas(atlas, relocate)
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
-        self._missed_loops = MissedLoops(self.tracker)
-        self._negative_evidence = NegativeEvidence()
+        removes = self.spec.negative_evidence and relocate is not None
+        self._evidence = NegativeEvidence(None if relocate is None else self.tracker, removes)
         self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
         self._learned_at: deque[int] = deque(maxlen=self.spec.recent)  # steps of the last scans learned from
-        self._learned = 0  # [scans] learned from so far
         self._farthest = 0.0  # [m] distance of the farthest measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._weighs_all = False  # whether the associator of the last scan returns an experience
@@ -159,15 +142,16 @@ class Slam:
         if prediction.estimate is not self.map.estimate:
             raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
-        self._weighs_all = hypothesis.experience is not None
-        factor = self.spec.outlier_factor if prediction.has_view else _SLIP
-        if self.tracker is not None and factor > 1.0 and self.tracker.suspects_slip(scan, prediction, hypothesis):
-            prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, self.tracker, factor)
-        if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
-            return self.close_loops(self.relocate(scan, prediction), scan)
-        if self.tracker is not None and self.atlas is not None:
+        self._weighs_all, spec = hypothesis.experience is not None, self.spec
+        if self.relocator is not None:
+            factor = spec.outlier_factor if prediction.has_view else _SLIP
+            if factor > 1.0 and self.tracker.suspects_slip(scan, prediction, hypothesis):
+                prediction, hypothesis = self._after_slip(scan, prediction, hypothesis, factor)
+            if not self.tracker.believes(scan, prediction, hypothesis):
+                return self.close_loops(self.relocate(scan, prediction), scan)
+        if self.atlas is not None:
             believed = hypothesis
-            hypothesis = self.atlas.accepted(scan, prediction, hypothesis)
+            hypothesis = accepted(scan, prediction, hypothesis, spec.max_chance_probability, spec.trust_marginals)
             if hypothesis is not believed:
                 self.tracker.accept(hypothesis)  # features of rejected pairings are not expected in the next scan
         return self.close_loops(self.update(scan, prediction, hypothesis), scan)
@@ -181,29 +165,24 @@ class Slam:
         pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
-        self._learned += 1
-        self._missed_loops.learn(self._learned, prediction, hypothesis, m)
-        absent = _NO_FEATURES
-        if self.spec.negative_evidence and self.tracker is not None:
-            absent = self._negative_evidence.learn(self._learned, prediction, hypothesis, m)
+        absent = self._evidence.learn(prediction, hypothesis, m)
         m.make_room(count)
         graph.make_room(count)
         is_decided, ids = hypothesis.new is not None, np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
+        numbers, settings = (m.n, m.step, m.next_id), self._settings()
         added, removed, became = learn(
-            m.arrays, m.numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings()
+            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, settings
         )
         self._experience = hypothesis.experience or self._experience
-        m.learned(added)
-        graph.learned(added)
+        m.learned(added, len(removed))
+        graph.n = m.n
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned_at.append(m.step)
         if len(removed):
-            m.learned(-len(removed))
-            graph.learned(-len(removed))
-            self._renumber(became)
+            self.tracker.renumber(became)
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed)
 
@@ -214,15 +193,19 @@ class Slam:
         determines the pose. A robot that stays lost for too long goes on in another map.
         Raises ValueError, before the robot is moved, for an invalid answer of the relocator.
         """
-        assert self.tracker is not None and self.relocator is not None
+        assert self.relocator is not None
         unpaired = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
         found = None
         if self.tracker.lost:
             found = self.relocator(scan, self.map, self.covisibility, self.reach, self.view_from)
         if found is not None:
-            return self._go_on_from(found, scan, self.tracker)
+            return self._go_on_from(found, scan)
         if self.atlas is not None and self.atlas.gives_up(self.tracker):
-            removed = self._begin_map(self.atlas, self.tracker)
+            removed = self.map.ids
+            self.map, self.covisibility = self.atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
+            self._learned_at.clear()
+            self._evidence.reset()
+            self.tracker.forget()
             return replace(self.update(scan, self.predict(STILL, scan), unpaired), removed=removed)
         self.map.end_of_step()
         return SlamStep(prediction, unpaired, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
@@ -236,17 +219,19 @@ class Slam:
         if fusion is None:
             return step
         self.map, self.covisibility, self.fused = fusion.map, fusion.covisibility, fusion.ids
-        self._renumber(fusion.became)
+        self.tracker.renumber(fusion.became)
         if any(record.kind != "duplicates" for record in self.atlas.fusions[known:]):
-            self._missed_loops.reset()
-        if self.tracker is not None and len(fusion.returned):
+            self._evidence.reset()
+        if len(fusion.returned):
             self.tracker.relocations += 1
         removed_now = np.concatenate([step.removed, fusion.ids[:, 1]])
         return replace(step, removed=removed_now, returned=fusion.returned)
 
     @property
     def _most_accidental(self) -> float:
-        return math.inf if self.atlas is None else self.atlas.most_accidental(self._weighs_all)
+        """The number of accidental matches in the gate of an old feature above which that feature is not offered."""
+        is_exempt = self.atlas is None or (self._weighs_all and self.spec.trust_marginals)
+        return math.inf if is_exempt else self.spec.max_accidental_matches
 
     @property
     def reach(self) -> float:
@@ -261,26 +246,26 @@ class Slam:
     @property
     def lost(self) -> bool:
         """Whether the robot is lost, and waits for relocation. Always False without `relocate`."""
-        return self.tracker is not None and self.tracker.lost
+        return self.tracker.lost
 
     @property
     def doubted(self) -> bool:
         """Whether a scan was doubted, and none has been believed since. Always False without `relocate`."""
-        return self.tracker is not None and self.tracker.doubted > 0
+        return self.tracker.doubted > 0
 
     @property
     def missed_loop(self) -> bool:
-        """Whether the robot seems to map a place for the second time: see `slam_gym.slam.missed_loops`.
+        """Whether the robot seems to map a place for the second time: see `slam_gym.slam.negative_evidence`.
 
         It remains true until a loop is closed, maps are joined, or another map begins. Always False without localities,
         and with neither `view_from` nor `relocate`.
         """
-        return self._missed_loops.missed
+        return self._evidence.missed_loop
 
     @property
     def relocations(self) -> int:
         """How often the robot has been relocated so far."""
-        return 0 if self.tracker is None else self.tracker.relocations
+        return self.tracker.relocations
 
     def _predict(self, odometry: Odometry, scan: Scan, most_accidental: float) -> Prediction:
         """Predict the features in reach, without old ones whose gates expect more than `most_accidental` matches."""
@@ -296,14 +281,14 @@ class Slam:
         return prediction
 
     def _after_slip(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, tracker: Tracker, factor: float
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, factor: float
     ) -> tuple[Prediction, Hypothesis]:
         """Associate again by `marginal`, with `factor` times the covariance of the last motion. Returns prediction and
         hypothesis of wheels that have slipped if the scan confirms it, and otherwise the given ones.
 
         Nothing has slipped where `marginal` can explain the scan with the given prediction: the associator failed.
         """
-        if not tracker.suspects_slip(scan, prediction, marginal(scan, prediction)):
+        if not self.tracker.suspects_slip(scan, prediction, marginal(scan, prediction)):
             return prediction, hypothesis
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()
@@ -311,32 +296,23 @@ class Slam:
         slipped = Odometry(np.zeros(3), (factor - 1.0) * turned @ Q @ turned.T)
         prediction_after = self._predict(slipped, scan, self._most_accidental)
         after = marginal(scan, prediction_after)
-        if tracker.confirms_slip(hypothesis, prediction_after, after):
-            tracker.slips += 1
+        if self.tracker.confirms_slip(hypothesis, prediction_after, after):
+            self.tracker.slips += 1
             weighs_all = hypothesis.experience is not None
             return prediction_after, after if weighs_all else replace(after, experience=None)
         self.map = before
         return prediction, hypothesis
 
-    def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
+    def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, UNKNOWN_POSE)
-        tracker.forget()
-        tracker.accept(hypothesis)
-        tracker.relocations += 1
+        self.tracker.forget()
+        self.tracker.accept(hypothesis)
+        self.tracker.relocations += 1
         everything = self._predict(STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous
         return self.update(scan, everything, hypothesis)
-
-    def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
-        """Go on in an empty map, and return the ids of the features that are left behind."""
-        removed = self.map.ids
-        self.map, self.covisibility = atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
-        self._learned_at.clear()
-        self._missed_loops.reset()
-        tracker.forget()
-        return removed
 
     def _adopt(self, more: int, scan: Scan) -> None:
         """Enter the last `more` features of the map in the graph, which others have added. Raises as `predict`."""
@@ -355,10 +331,7 @@ class Slam:
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""
-        beyond = 0.0
-        for i in [] if self._warned else new.nonzero()[0].tolist():
-            sigma = math.sqrt(scan.covariances.item(i, 0, 0) + scan.covariances.item(i, 1, 1))
-            beyond = max(beyond, math.hypot(scan.points.item(i, 0), scan.points.item(i, 1)) - 6.0 * sigma)
+        beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
         if beyond <= reach:
             return
         self._warned = True
@@ -368,15 +341,11 @@ class Slam:
             stacklevel=4,
         )
 
-    def _renumber(self, became: IntArray) -> None:
-        """Renumber what is stored by feature: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
-        if self.tracker is not None:
-            self.tracker.renumber(became)
 
-
-def _farthest(points: Array, covariances: Array) -> float:
-    """[m] The greatest ‖z‖ + 3σ of measurements (m,), at least 0; σ² is the trace of the covariance."""
+def _farthest(points: Array, covariances: Array, sigmas: float = 3.0) -> float:
+    """[m] The greatest ‖z‖ + 3σ of measurements (m,), at least 0, or with other `sigmas` than 3; σ² is the trace of the
+    covariance."""
     with np.errstate(invalid="ignore", over="ignore"):  # of a scan that will be refused
         sigma = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
-        distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + 3.0 * sigma
+        distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + sigmas * sigma
     return float(distances.max(initial=0.0))

@@ -1,6 +1,6 @@
 """Fusion: features that are the same become one, within the active map or between it and an inactive map.
 
-The pairs of a loop are found in `slam.places.loops`. **Maps** are joined with an uninformative relation (`join_at`)
+The pairs of a loop are found in `slam.places.loops`. **Maps** are joined with an uninformative relation (`join`)
 once the recent part of one, or a scan, is recognised in the other; there is then no prior to verify with. A **missed
 loop** is closed without the prior, too: it failed (`close_missed_loop`).
 
@@ -25,7 +25,7 @@ from scipy.stats import binom
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.map_joining import equate, join_at
+from slam_gym.mapping.map_joining import equate, join
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, least_pairs, parts_of, recent_part, recognise
 from slam_gym.slam.places.verification import agreeing, attributes_agree, overlap
@@ -50,11 +50,6 @@ class MappedArea(NamedTuple):
 
     map: StochasticMap
     covisibility: CovisibilityGraph
-
-    @property
-    def began(self) -> int:
-        """The least id of a feature, less for maps that began earlier; the greatest integer for an empty map."""
-        return int(self.map.ids.min(initial=np.iinfo(np.int64).max))
 
     def only(self, features: BoolArray) -> MappedArea:
         """A copy with the robot and those features (n,) alone."""
@@ -131,34 +126,11 @@ def _first_of_copy(m: StochasticMap, parts: Parts, found: Relocation) -> int:
     return int(ids[earliest + begun[0] if len(begun) else latest])
 
 
-class _Joined(NamedTuple):
-    """An inactive and the active map in one, not fused yet, and the index in it of each feature of the two."""
-
-    area: MappedArea
-    inactive: IntArray
-    active: IntArray
-
-
-def _joined_at(inactive: MappedArea, active: MappedArea, base: Array) -> _Joined:
-    """Join in the base of the map that began first, with the base of the active map at the pose `base` in the other.
-
-    The features are in the order of their ids, the oldest first; the robot is that of the active map.
-    """
-    a, b = inactive.map, active.map
-    if inactive.began < active.began:
-        m, graph = join_at(a, b, base), inactive.covisibility.followed_by(active.covisibility)
-    else:
-        m, graph = join_at(b, a, inverse(base), robot_of_a=True), active.covisibility.followed_by(inactive.covisibility)
-    order = np.argsort(m.ids)
-    ids, area = m.ids[order], MappedArea(m.reordered(order), graph.reordered(order))
-    return _Joined(area, np.searchsorted(ids, a.ids), np.searchsorted(ids, b.ids))
-
-
 def join_recognised(inactive: MappedArea, active: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
     """Join two maps if features `recent` (g,) of the active map are recognised in the inactive one; else None.
 
     The relation of the maps is determined by the pairs alone: they must have one shape under the covariance of both
-    maps, and be most of the features of both maps there. Neither map is changed. See `_joined_at` for the order of the
+    maps, and be most of the features of both maps there. Neither map is changed. See `_joined` for the order of the
     features; `became` is that of the active map.
     """
     among = np.flatnonzero(~inactive.map.provisional)
@@ -167,20 +139,8 @@ def join_recognised(inactive: MappedArea, active: MappedArea, recent: IntArray, 
     if found is None:
         return None
     paired = found.features != UNPAIRED
-    joined = _joined_at(inactive, active, found.pose)
-    parts = Parts(joined.active[recent], joined.inactive[among])
-    pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
-    pairs = agreeing(joined.area.map, pairs, spec, prior=False)
-    few = len(pairs) < least_pairs(len(among), spec)
-    if few or overlap(joined.area.map, parts, pairs) < spec.min_fraction:
-        return None
-    return _fused(joined, pairs)
-
-
-def _fused(joined: _Joined, pairs: IntArray) -> Fusion:
-    """The fusion of pairs (k, 2) of joined maps, with `became` of the active map."""
-    fusion = fuse(*joined.area, np.sort(pairs, axis=1))
-    return fusion._replace(became=fusion.became[joined.active])
+    pairs = np.column_stack([among[found.features[paired]], recent[paired]])
+    return _joined(inactive, active, found.pose, pairs, spec, Parts(recent, among))
 
 
 def join_relocated(
@@ -191,12 +151,44 @@ def join_relocated(
     `features` (m,) are those of the active map that the scan has updated or started, or UNPAIRED. The next relocation
     can correct a wrong one, but a wrong join is final: as many pairs, of one shape, are required as for a recent part.
     """
-    joined = _joined_at(inactive, active, compose(found.pose, inverse(active.map.pose)))
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
-    pairs = np.column_stack([joined.inactive[found.features[paired]], joined.active[features[paired]]])
+    pairs = np.column_stack([found.features[paired], features[paired]])
     pairs = pairs[np.unique(pairs[:, 1], return_index=True)[1]]  # two measurements may have updated one feature
-    pairs = agreeing(joined.area.map, pairs, spec, prior=False)
-    return None if len(pairs) < least_pairs(inactive.map.n, spec) else _fused(joined, pairs)
+    return _joined(inactive, active, compose(found.pose, inverse(active.map.pose)), pairs, spec)
+
+
+def _joined(
+    inactive: MappedArea,
+    active: MappedArea,
+    base: Array,
+    pairs: IntArray,
+    spec: RecognitionSpec,
+    parts: Parts | None = None,
+) -> Fusion | None:
+    """Join two maps, and fuse the `pairs` (k, 2) of an inactive and an active feature that agree, if they are enough,
+    and enough of the overlap of the `parts` of the active and of the inactive map, if given; else None.
+
+    The base is that of the map that began first; the base of the active map is at the pose `base` in the other. The
+    features are in the order of their ids, the oldest first; the robot is that of the active map.
+    """
+    a, b = inactive.map, active.map
+    if a.ids.min(initial=b.next_id) < b.ids.min(initial=b.next_id):  # older features have smaller ids
+        m, graph = join(a, b, base), inactive.covisibility.followed_by(active.covisibility)
+    else:
+        m, graph = join(b, a, inverse(base), robot_of_a=True), active.covisibility.followed_by(inactive.covisibility)
+    order = np.argsort(m.ids)
+    ids, m, graph = m.ids[order], m.reordered(order), graph.reordered(order)
+    of_inactive, of_active = np.searchsorted(ids, a.ids), np.searchsorted(ids, b.ids)
+    pairs = np.column_stack([of_inactive[pairs[:, 0]], of_active[pairs[:, 1]]])
+    pairs = agreeing(m, pairs, spec, prior=False)
+    if len(pairs) < least_pairs(a.n if parts is None else len(parts.older), spec):
+        return None
+    if parts is not None:
+        there = Parts(of_active[parts.recent], of_inactive[parts.older])
+        if overlap(m, there, pairs) < spec.min_fraction:
+            return None
+    fusion = fuse(m, graph, np.sort(pairs, axis=1))
+    return fusion._replace(became=fusion.became[of_active])
 
 
 def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:
@@ -215,7 +207,9 @@ def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> 
         of_other = m.distances_between(np.array([other]), established, _INFLATION**2 * gate)
         if np.isfinite(of_other).sum() == 1:
             compatible[min(one, other), max(one, other)] = bool(D[row, column] < gate)
-    candidates = _one_to_one(np.array(list(compatible), np.int64).reshape(-1, 2))
+    found = np.array(list(compatible), np.int64).reshape(-1, 2)
+    features, times = np.unique(found, return_counts=True)
+    candidates: IntArray = found[~np.isin(found, features[times > 1]).any(axis=1)]  # whose features are in no other
     pairs = [pair for pair in candidates.tolist() if _are_one(m, graph, pair, candidates, compatible[tuple(pair)])]
     return np.array(pairs, np.int64).reshape(-1, 2)
 
@@ -233,10 +227,3 @@ def _are_one(
     doubled = int((np.isin(candidates[:, 0], first) & np.isin(candidates[:, 1], second)).sum())
     total = common + (doubled if doubled >= _DOUBLED else 0)
     return total >= _COMMON if compatible else total >= _MANY_COMMON and int(m.seen[pair].min()) >= _MANY_SEEN
-
-
-def _one_to_one(pairs: IntArray) -> IntArray:
-    """The pairs (k, 2) whose features are in no other pair."""
-    features, times = np.unique(pairs, return_counts=True)
-    unique_pairs: IntArray = pairs[~np.isin(pairs, features[times > 1]).any(axis=1)]
-    return unique_pairs

@@ -33,7 +33,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.mapping.update import heading_correction, left_jacobian_inverse
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of
 from slam_gym.slam.places.verification import agreeing, attributes_agree, heading_covariances, innovation, overlap
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.types import Array, IntArray
 
 NO_PAIRS = np.empty((0, 2), np.int64)
 _SEEDS = 800  # most pairs from which sets grow; one recent feature may have more
@@ -49,7 +49,10 @@ def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec)
     pairs = agreeing(m, pairs, spec, prior=True)
     if len(pairs) < max(rival + spec.margin, 1) or overlap(m, parts, pairs) < spec.min_fraction:
         return NO_PAIRS
-    if _log_expected(m, parts, pairs, spec) > math.log(spec.max_accidental_loops):
+    (nu, S), established = innovation(m, pairs), m.positions[~m.provisional]
+    inflated = 3.0 * math.log(spec.inflation)  # of √det S, in the three directions of the motion between the parts
+    log_expected = log_expected_pairs(nu, S, len(parts.recent), established, spec.confidence) + inflated
+    if log_expected > math.log(spec.max_accidental_loops):
         return NO_PAIRS
     by_age: IntArray = np.sort(pairs, axis=1)  # a feature seen lately may have been mapped first
     return by_age[np.argsort(by_age[:, 0])]
@@ -66,12 +69,14 @@ def compatible_pairs(
     gate = chi2_gate(2, spec.confidence)
     wide_gate = spec.inflation**2 * gate
     possible = np.isfinite(m.distances_between(parts.recent, parts.older, wide_gate))
-    possible &= attributes_agree(m, parts.older, parts.recent) & ~_seen_together(graph, parts)
+    together = [np.isin(parts.older, graph.neighbours(feature)) for feature in parts.recent.tolist()]
+    possible &= attributes_agree(m, parts.older, parts.recent) & ~np.array(together)
     newer, older = np.nonzero(possible)
     if not 0 < len(newer) <= _MOST_PAIRS:
         return NO_PAIRS, 0
     pairs = np.column_stack([parts.older[older], parts.recent[newer]])
-    chosen = _spread(np.unique(newer), max(_SEEDS * len(parts.recent) // len(newer), 1))
+    recent, most = np.unique(newer), max(_SEEDS * len(parts.recent) // len(newer), 1)
+    chosen = recent[np.linspace(0, len(recent) - 1, min(most, len(recent))).astype(np.int64)]  # evenly spaced
     seeds, (_, P, *_) = np.flatnonzero(np.isin(newer, chosen)), m.arrays
     given = m.positions[pairs[:, 1]] - m.positions[pairs[:, 0]], heading_covariances(m, pairs)
     sets, scores = _grow_sets(P, pairs, given, seeds, np.array([wide_gate, gate]), len(parts.recent))
@@ -80,25 +85,6 @@ def compatible_pairs(
     rivals = sizes[~np.isin(sets, best).any(axis=1)]
     found: IntArray = pairs[best]
     return found[np.argsort(found[:, 0])], int(rivals.max(initial=0))
-
-
-def _seen_together(graph: CovisibilityGraph, parts: Parts) -> BoolArray:
-    """(g, a) whether a scan saw both a recent and an older feature."""
-    return np.array([np.isin(parts.older, graph.neighbours(feature)) for feature in parts.recent.tolist()])
-
-
-def _spread(items: IntArray, count: int) -> IntArray:
-    """At most `count` of the items, evenly spaced."""
-    spread: IntArray = items[np.linspace(0, len(items) - 1, min(count, len(items))).astype(np.int64)]
-    return spread
-
-
-def _log_expected(m: StochasticMap, parts: Parts, pairs: IntArray, spec: RecognitionSpec) -> float:
-    """log of the expected number of accidental sets of as many pairs that fit as well; the drift may be `inflation`
-    times as large."""
-    (nu, S), established = innovation(m, pairs), m.positions[~m.provisional]
-    inflated = 3.0 * math.log(spec.inflation)  # of √det S, in the three directions of the motion between the parts
-    return log_expected_pairs(nu, S, len(parts.recent), established, spec.confidence) + inflated
 
 
 @compiled
@@ -130,14 +116,7 @@ def _grow_sets(
 
 @compiled
 def _grow(
-    P: Array,
-    pairs: IntArray,
-    given: tuple[Array, Array],
-    S: Array,
-    gates: Array,
-    seed: int,
-    w: Array,
-    chosen: IntArray,
+    P: Array, pairs: IntArray, given: tuple[Array, Array], S: Array, gates: Array, seed: int, w: Array, chosen: IntArray
 ) -> float:
     """Enter the set that grows from the pair `seed` in `chosen` (most,); returns the sum of D² + log det S.
 

@@ -28,7 +28,8 @@ from slam_gym.association import indexed
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.location import VARIANCE_FLOOR
-from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.covisibility import CovisibilityGraph, mark_local
+from slam_gym.mapping.covisibility import among as seen_together
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray, Relocation, Scan
@@ -74,8 +75,8 @@ def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpe
     They are those of the recent scans, and features up to two links of the covisibility graph away from them.
     """
     last, established = m.last_seen, ~m.provisional
-    linked_to = np.flatnonzero(graph.local_to(np.flatnonzero(last >= m.step - spec.recent)))
-    part = np.flatnonzero(established & graph.local_to(linked_to))
+    linked_to = np.flatnonzero(mark_local(graph.counts, m.n, np.flatnonzero(last >= m.step - spec.recent)))
+    part = np.flatnonzero(established & mark_local(graph.counts, m.n, linked_to))
     return np.sort(part[np.argsort(last[part], kind="stable")[-spec.group :]])
 
 
@@ -110,7 +111,7 @@ def recognise(
     too few features are paired, if as many are paired at another pose, or if their mirror image pairs nearly as many.
     """
     scan, landmarks = as_scan(m, recent), of.landmarks(among)
-    first, second = np.nonzero(graph.among(among))
+    first, second = np.nonzero(seen_together(graph.counts, among))
     locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
     needed = max(least_pairs(len(among), spec), required_pairings(scan, landmarks))
     found = indexed(scan, landmarks, locality, min_pairings=max(needed, 3), node_limit=spec.node_limit)
