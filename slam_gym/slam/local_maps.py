@@ -1,4 +1,4 @@
-"""SLAM as a sequence of statistically independent local maps: a new one after a number of features, or on demand.
+"""SLAM as a sequence of statistically independent local maps: a new one after a number of features.
 
 Map i + 1 has its base where the robot stood at the end of map i, and starts empty: no measurement enters two maps, so
 their estimates are independent, and the last robot pose of map i, with its covariance and its correlations, is all that
@@ -29,7 +29,7 @@ from slam_gym.association.tracking.jcbb import branch_and_bound
 from slam_gym.association.tree import Pairings
 from slam_gym.geometry import compose, compose_jacobians, inverse, transform
 from slam_gym.mapping.locality import linked, same_local_map
-from slam_gym.mapping.map_joining import equate, join, join_all, joined_map
+from slam_gym.mapping.map_joining import equate, join, join_all, joined_estimate, joined_map
 from slam_gym.mapping.smoothing import Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
@@ -52,8 +52,8 @@ class LocalMapSlam:
 
     Arguments:
         spec: as for `Slam`, within each local map.
-        features_per_map: number of features at which a map is closed; None: only on demand. It should be several times
-            the features of a scan: with no more than those, every step begins a map.
+        features_per_map: number of features at which a map is closed; None: never. It should be several times the
+            features of a scan: with no more than those, every step begins a map.
         match: finds the features that two maps share, when the maps are joined; `jointly_compatible` by default.
 
     Raises ValueError for fewer than one feature per map.
@@ -69,11 +69,9 @@ class LocalMapSlam:
         self.slam = Slam(self.spec)  # updates the current local map
         self.maps = [self.slam.map]  # each in its own base; the last is the current one
         self._graphs = [self.slam.covisibility]  # of each local map
-        self._first_ids = [0]  # smallest id that each local map can give
         self._match = match or jointly_compatible
         self._correspondences = _Correspondences(self._match)  # of closed maps, updated on demand
         self._covisible_names: list[IntArray] = []  # (e, 2) of each map, as of the last join
-        self._is_last_step = False  # the next step closes the current map, whether it is full or not
         self._is_closed = False  # the next step begins a new map
 
     @property
@@ -105,27 +103,17 @@ class LocalMapSlam:
         if self._is_closed:
             check_scan(scan)
             self.map.predict(odometry)
-            self._begin_map()
-            odometry = STILL
+            self.slam, self._is_closed, odometry = Slam(self.spec), False, STILL
+            self.slam.map = self.map.successor()
+            self.maps.append(self.slam.map)
+            self._graphs.append(self.slam.covisibility)
         return self.slam.predict(odometry, scan)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """As `Slam.learn`; `removed` also lists the features of a local map that this step closes."""
         step = self.slam.learn(scan, prediction, hypothesis)
-        is_full = self.features_per_map is not None and self.map.n >= self.features_per_map
-        self._is_closed, self._is_last_step = is_full or self._is_last_step, False
+        self._is_closed = self.features_per_map is not None and self.map.n >= self.features_per_map
         return replace(step, removed=np.concatenate([step.removed, self.map.ids])) if self._is_closed else step
-
-    def close_map(self) -> None:
-        """Let the next step be the last of the current local map; its `removed` lists the features of the map."""
-        self._is_last_step = True
-
-    def _begin_map(self) -> None:
-        self.slam, self._is_closed = Slam(self.spec), False
-        self.slam.map = self.map.successor()
-        self.maps.append(self.slam.map)
-        self._graphs.append(self.slam.covisibility)
-        self._first_ids.append(self.map.next_id)
 
     def joined(self) -> StochasticMap:
         """Join all maps in the base of the first, and fuse features that are the same. The local maps do not change.
@@ -157,7 +145,7 @@ class LocalMapSlam:
 
     def map_of(self, m: StochasticMap | Smoothed) -> IntArray:
         """(n,) index of the local map in which each feature of a joined map was first seen."""
-        numbers: IntArray = np.searchsorted(self._first_ids, m.ids, side="right") - 1
+        numbers: IntArray = np.searchsorted([closed.next_id for closed in self.maps[:-1]], m.ids, side="right")
         return numbers
 
     def locality(self, m: StochasticMap | Smoothed) -> Locality:
@@ -212,7 +200,7 @@ class _Correspondences:
     def _relate(self, a: int, b: int, relation: _Relation) -> None:
         """Store the relation of map b, the newest, to map a, and to the maps for which the path over a is surer."""
         for other, known in enumerate(self._relations[:b]):
-            candidate = _composed(known[a], relation)
+            candidate = joined_estimate(*known[a], *relation)  # of independent relations
             if b not in known or self._variance(candidate[1]) < self._variance(known[b][1]):
                 known[b], self._relations[b][other] = candidate, _inverted(candidate)
 
@@ -255,13 +243,6 @@ class _Correspondences:
             self.names[number][row] = name
         self._rows[name] |= self._rows.pop(other)
         return True
-
-
-def _composed(first: _Relation, second: _Relation) -> _Relation:
-    """The relation composed of two independent relations, first ⊕ second."""
-    (a, P_a), (b, P_b) = first, second
-    by_a, by_b = compose_jacobians(a, b)
-    return compose(a, b), by_a @ P_a @ by_a.T + by_b @ P_b @ by_b.T
 
 
 def _inverted(relation: _Relation) -> _Relation:

@@ -18,7 +18,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Locality, Relocation, Relocator, Scan
 
-_ACCIDENTAL = 0.02  # by the rule of the searches themselves
+_CHANCE = 1e-6  # greatest probability of so many accidental pairings in a scan: the searches themselves admit 0.02
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
 _EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
@@ -223,20 +223,16 @@ def _pairings_with(features: IntArray, sightings: IntArray, confirmations: int, 
     return count
 
 
-def relocate_by(
-    search: str | Relocator, locality: LocalityName | None = "covisibility", probability: float = 1e-6
-) -> Relocate:
+def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisibility") -> Relocate:
     """Relocation by `search` (a name, `"module:function"` or a callable) among the features of a map.
 
     A lost robot searches scan after scan, and rooms resemble each other, so that an answer must pass more than the
-    rule of the search itself: the probability of so many accidental pairings in a scan must be less than `probability`,
-    and most measurements, and most features that should be in view from the pose found, must be paired.
-    Raises ValueError for an unknown search or locality, or a probability outside (0, 1).
+    rule of the search itself: the probability of so many accidental pairings in a scan must be less than 10⁻⁶, and most
+    measurements, and most features that should be in view from the pose found, must be paired.
+    Raises ValueError for an unknown search or locality.
     """
-    if not 0.0 < probability < 1.0:
-        raise ValueError(f"probability: {probability} is not between 0 and 1")
     find = resolve_relocator(search)
-    is_built_in, most = any(find is known for known in RELOCATORS.values()), min(probability, _ACCIDENTAL)
+    is_built_in = any(find is known for known in RELOCATORS.values())
     prunes = find in (gcbb, max_clique, random_sampling)
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
@@ -246,7 +242,7 @@ def relocate_by(
     ) -> Relocation | None:
         landmarks = m.landmarks()
         local_to = locality_of(graph, m.positions, reach, locality)
-        needed = max(min_pairings(scan, landmarks, probability=most), math.ceil(_EXPLAINED * len(scan)))
+        needed = max(min_pairings(scan, landmarks, probability=_CHANCE), math.ceil(_EXPLAINED * len(scan)))
         bound = {"min_pairings": needed} if prunes else {}  # the search skips hypotheses with fewer
         found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **bound)
         if not isinstance(found, Relocation):

@@ -25,13 +25,7 @@ class Loop:
     """One loop through the corridor of the reference experiment in local maps."""
 
     def __init__(
-        self,
-        seed: int,
-        features_per_map: int | None,
-        *,
-        truth: bool = True,
-        ask: int | None = None,
-        match: Match | None = None,
+        self, seed: int, features_per_map: int | None, *, truth: bool = True, match: Match | None = None
     ) -> None:
         rng = np.random.default_rng(seed)
         spec = SlamSpec(MapSpec(unconfirmed_age=None), reach=corridor.RANGE)
@@ -39,9 +33,7 @@ class Loop:
         judged = JudgedSlam(self.slam, "true_association" if truth else "jcbb")
         self.identities = judged.identities
         self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
-        for step, (odometry, scan, seen) in enumerate(corridor.walk_round(rng)):
-            if ask and step and step % ask == 0:
-                self.slam.close_map()
+        for odometry, scan, seen in corridor.walk_round(rng):
             self.pose = seen.pose
             self.scans.append(seen.sources)
             before = len(self.slam.maps)
@@ -184,21 +176,13 @@ def test_the_whole_can_be_had_without_its_full_covariance() -> None:
     assert locality_sizes(run.slam.covisible(smoothed), joined.n).min() > 0
 
 
-def test_a_new_map_on_demand() -> None:
-    asked = Loop(3, None, ask=10)
-    assert len(asked.slam.maps) == 5
-    assert asked.tally.fp == asked.tally.fn == asked.tally.new_wrong == 0
-    never = Loop(3, None)
-    assert len(never.slam.maps) == 1
-    np.testing.assert_array_equal(never.slam.joined().mean, never.slam.map.mean)
-
-
 def test_one_map_is_plain_slam() -> None:
     local, plain = LocalMapSlam(SlamSpec(), None), Slam(SlamSpec())
     for odometry, scan, _ in corridor.walk_round(np.random.default_rng(5)):
         ours, theirs = local.step(odometry, scan), plain.step(odometry, scan)
         np.testing.assert_array_equal(ours.ids, theirs.ids)
         np.testing.assert_array_equal(ours.removed, theirs.removed)
+    assert len(local.maps) == 1
     np.testing.assert_array_equal(local.joined().mean, plain.map.mean)
     np.testing.assert_array_equal(local.pose, plain.map.pose)
 
