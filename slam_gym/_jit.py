@@ -70,9 +70,9 @@ def ready() -> int:
     return 0 if _config.DISABLE_JIT else sum(map(_signatures, _loops))
 
 
-def compiled(function: F, inline: bool = False) -> F:
+def compiled(function: F, inline: bool = False, cached: bool = True) -> F:
     """numba.njit with IEEE arithmetic (no fastmath), so that results do not depend on optimisation."""
-    folder, previous = _folder(), _config.CACHE_DIR
+    folder, previous = _folder() if cached else None, _config.CACHE_DIR
     _config.CACHE_DIR = str(folder or previous)  # where numba caches functions decorated now
     try:
         loop: Any = numba.njit(nogil=True, error_model="numpy", forceinline=inline, cache=folder is not None)(function)
@@ -90,6 +90,11 @@ def inlined(function: F) -> F:
     times as long.
     """
     return compiled(function, inline=True)
+
+
+def compiled_generator(function: F) -> F:
+    """`compiled` for a generator, which is never cached: numba fails to compile callers of a cached one."""
+    return compiled(function, cached=False)
 
 
 def cache_folder() -> Path:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slam_gym._jit import compiled
+from slam_gym._jit import compiled, compiled_generator
 from slam_gym.types import Array
 
 
@@ -93,7 +93,7 @@ def rotate_covariances(heading: float, covariances: Array) -> Array:
     return np.array([[along_x, across], [across, along_y]]).transpose(2, 0, 1)
 
 
-@compiled
+@compiled_generator
 def cells_along(x: float, y: float, dx: float, dy: float, reach: float) -> Iterator[tuple[int, int, float, float]]:
     """The cells of a grid that a ray from (x, y) [cells] crosses, in order (Amanatides and Woo, "A fast voxel traversal
     algorithm for ray tracing", 1987).
