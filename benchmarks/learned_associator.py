@@ -29,8 +29,8 @@ from agents.learning.training import WEIGHTS, train
 from agents.options import DRIFTING, Training
 from benchmarks.common import Record, mean_interval, options, table
 from slam_gym import weights
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
+from slam_gym.association.tracking.walk import CANDIDATE_FIELDS
 
 SCENARIOS = ("office", "drift-2", "drift-3", "aliased-drift")
 FIRST_WORLD = 30_000  # of the million of the train split, of which a training draws some hundreds

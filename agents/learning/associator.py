@@ -46,7 +46,6 @@ _MOST = 80  # hypotheses of a scan that are kept
 _EASY = 0.15  # fraction of the unambiguous scans that are kept; the weight of each is divided by it
 _DOUBT = 0.02  # a scan is ambiguous where the best hypothesis has a smaller probability than 1 − this
 _MOST_TICKS = 500
-SIGHTINGS = 3  # row of the first of a prediction's arrays
 
 LEVELS = tuple(level.id for e in EXPERIMENTS.values() if e.name != RELOCATION for level in e.levels)
 DRIVES = (
@@ -113,14 +112,15 @@ def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tupl
     were seen before (`past`)."""
     if "views" in hidden:
         prediction = prediction.with_visibility(None)
-    counted, sized, *others = prediction.rows
+    known = prediction.expected
     if "past" in hidden:
-        prediction, counted = replace(prediction, experience=None), counted.copy()
-        counted[SIGHTINGS] = 0
+        prediction = replace(prediction, experience=None)
+        known = known._replace(sightings=np.zeros(len(prediction), np.int64))
     if "sizes" in hidden:
-        unknown, sized = np.full(len(scan), math.nan), np.full_like(sized, math.nan)
+        unknown, none = np.full(len(scan), math.nan), np.full(len(prediction), math.nan)
         scan = replace(scan, sizes=unknown, size_variances=unknown)
-    return scan, replace(prediction, rows=(counted, sized, *others))
+        known = known._replace(sizes=none, size_variances=none)
+    return scan, replace(prediction, expected=known)
 
 
 # -- where scans come from ---------------------------------------------------------------------------------------------

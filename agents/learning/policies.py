@@ -33,8 +33,7 @@ from torch import Tensor, nn
 from agents.drivers.base import ActionKind, Info, Observation
 from slam_gym._files import zip_members
 from slam_gym.association.tracking import ppo
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
-from slam_gym.association.tracking.walk import COMPATIBILITIES
+from slam_gym.association.tracking.walk import CANDIDATE_FIELDS, COMPATIBILITIES
 from slam_gym.association.walks import ORDERS
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.weights import Card, Weights

@@ -110,7 +110,7 @@ class _ReadOnlyScan:
             error.add_note(f"raised by associator {name}")
             raise
         try:
-            return check_hypothesis(hypothesis, len(scan), prediction.size[1])
+            return check_hypothesis(hypothesis, len(scan), prediction.expected.n)
         except ValueError as error:
             raise ValueError(f"associator {name}: {error}") from None
 

@@ -233,7 +233,7 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     blocks = every_block[len(near) :]
     sizes = np.sqrt(np.linalg.det(blocks))
     log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(near), : 2 * len(near)])[1]
-    n, state, gate = prediction.size[1], prediction.source[1], chi2_gate(2, prediction.confidence)
+    n, state, gate = prediction.expected.n, prediction.expected.state, chi2_gate(2, prediction.confidence)
     everywhere = _others_in_gates(state[3 : 3 + 2 * n].reshape(n, 2), gate * sizes)
     confirmed = prediction.positions[~prediction.provisional]
     sample = confirmed[:: max(len(confirmed) // _SPACED, 1)]

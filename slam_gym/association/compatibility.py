@@ -71,8 +71,8 @@ def individual(
     if measurements is None:
         measurements = np.arange(len(scan.points))
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
-    every_row = np.empty(0, np.bool_)
-    return gate_pairings(scan.arrays[:2], prediction.points[:2], measurements, every_row, gate, len(prediction))
+    predicted, every_row = (prediction.expected.positions, prediction.expected.covariances), np.empty(0, np.bool_)
+    return gate_pairings(scan.arrays[:2], predicted, measurements, every_row, gate, len(prediction))
 
 
 @compiled

@@ -4,8 +4,7 @@ import functools
 from typing import Any
 
 from slam_gym.association.prediction import Associator, Prediction
-from slam_gym.association.relocation.observation import observe_walk
-from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec, observe_walk
 from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
 from slam_gym.association.walks import Observation, Order, Policy
 from slam_gym.types import BoolArray, Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan

@@ -12,42 +12,31 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._jit import compiled
-from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import Counts, CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
-from slam_gym.mapping.measurement import RowArrays, foresee, joint_covariance, rows_for
+from slam_gym.mapping.measurement import foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
 from slam_gym.types._fields import Entry, floats, kinds_of, sizes_of
 
-SourceArrays = tuple[Array, Array, Array, Counts, SightArrays, Array]
-"""The arrays for further queries: predicted pose and variance of its heading (4,); state x and covariance P (upper
-triangle) of the map; counts of its covisibility graph, empty where all features are local to each other; field of view
-and explored space; a fixed visibility (k,), or (0,)."""
-
-Sizes = tuple[int, int, bool, bool]
-"""Number k of rows of the prediction; number n of features of the map; whether joint covariances are of second order;
-whether visibility may be computed for other poses than the predicted one."""
-
-PredictionArrays = tuple[RowArrays, SourceArrays, Sizes]
-"""A prediction as compiled functions take it: plain tuples, which pass from Python faster than named ones."""
+PredictionArrays = tuple[Any, ...]
+"""The fields of `Expected` as compiled functions take them: plain tuples pass from Python faster than named ones."""
 
 _NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
 _NOTHING = np.empty(0)
 _ALL_LOCAL, _NO_FEATURES = np.empty((0, 0), np.int32), np.empty(0, np.int64)
 _STILL, _CERTAIN, _NOT_MEASURED = np.empty(0), np.zeros((3, 3)), (np.empty((0, 2)), np.empty((0, 2, 2)))
-_FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `RowArrays`
 
 
 class Expected(NamedTuple):
-    """A prediction inside compiled functions: the k features in reach, and the arrays for further queries."""
+    """A prediction: the k features in reach, and the arrays for further queries."""
 
     features: IntArray  # (k,) as in `Prediction`, up to `across`
     kinds: IntArray
@@ -59,27 +48,15 @@ class Expected(NamedTuple):
     positions: Array
     covariances: Array
     across: Array  # (k, 2) H_j P e_θ
-    pose: Array  # (4,) predicted pose and variance of its heading; this and the rest as in `SourceArrays`
-    state: Array
-    covariance: Array
-    counts: Counts
-    sight: SightArrays
-    visible: Array
-    n: int
-    second_order: bool
-    view_moves: bool
-
-
-@compiled
-def expected_of(rows: RowArrays, source: SourceArrays, sizes: Sizes) -> Expected:
-    """A prediction's plain tuples as named fields."""
-    (counted, sized, near, positions, covariances, across), (k, n, second_order, view_moves) = rows, sizes
-    pose, state, covariance, counts, sight, visible = source
-    return Expected(
-        counted[_FEATURES, :k], counted[_KINDS, :k], counted[_AGES, :k], counted[_SIGHTINGS, :k],
-        sized[ekf.SIZES, :k], sized[ekf.VARIANCES, :k], near[:k], positions[:k], covariances[:k], across[:k],
-        pose, state, covariance, counts, sight, visible, n, second_order, view_moves,
-    )  # fmt: skip
+    pose: Array  # (4,) predicted pose and variance of its heading
+    state: Array  # x of the map
+    covariance: Array  # P of the map (upper triangle)
+    counts: Counts  # of its covisibility graph, empty where all features are local to each other
+    sight: SightArrays  # field of view and explored space
+    visible: Array  # (k,) a fixed visibility, or (0,)
+    n: int  # number of features of the map
+    second_order: bool  # whether joint covariances are of second order
+    view_moves: bool  # whether visibility may be computed for other poses than the predicted one
 
 
 @compiled
@@ -104,9 +81,7 @@ class Prediction:
     prediction until the map next changes.
     """
 
-    rows: RowArrays
-    source: SourceArrays
-    size: Sizes
+    expected: Expected  # do not write to its arrays
     confidence: float  # of the χ² gates
     confirmations: int = 0  # number of sightings that confirm a feature
     experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had one
@@ -116,74 +91,67 @@ class Prediction:
     def arrays(self) -> PredictionArrays:
         """The arrays for compiled functions; do not write to them. Raises RuntimeError once the map has changed."""
         self.check()
-        return self.rows, self.source, self.size
+        return self.expected[:]
 
     @property
     def counted(self) -> tuple[IntArray, IntArray]:
         """`features` and `sightings`; do not write to them."""
-        known, k = self.rows[0], self.size[0]
-        return known[_FEATURES, :k], known[_SIGHTINGS, :k]
-
-    @property
-    def points(self) -> tuple[Array, Array, Array]:
-        """`positions`, `covariances` and `sizes`; do not write to them."""
-        k = self.size[0]
-        return self.rows[3][:k], self.rows[4][:k], self.rows[1][ekf.SIZES, :k]
+        return self.expected.features, self.expected.sightings
 
     @property
     def features(self) -> IntArray:
         """(k,) index of each feature in the map."""
-        return _locked(self.rows[0][_FEATURES, : self.size[0]])
+        return _locked(self.expected.features)
 
     @property
     def kinds(self) -> IntArray:
         """(k,) class of each feature, UNKNOWN_KIND where unknown."""
-        return _locked(self.rows[0][_KINDS, : self.size[0]])
+        return _locked(self.expected.kinds)
 
     @property
     def ages(self) -> IntArray:
         """(k,) [steps] since each feature was first seen."""
-        return _locked(self.rows[0][_AGES, : self.size[0]])
+        return _locked(self.expected.ages)
 
     @property
     def sightings(self) -> IntArray:
         """(k,) number of scans that updated or started each feature; 0 where the map does not count."""
-        return _locked(self.rows[0][_SIGHTINGS, : self.size[0]])
+        return _locked(self.expected.sightings)
 
     @property
     def sizes(self) -> Array:
         """(k,) [m] mapped intrinsic attribute, NaN where unknown."""
-        return _locked(self.rows[1][ekf.SIZES, : self.size[0]])
+        return _locked(self.expected.sizes)
 
     @property
     def size_variances(self) -> Array:
         """(k,) [m²] variance of each size."""
-        return _locked(self.rows[1][ekf.VARIANCES, : self.size[0]])
+        return _locked(self.expected.size_variances)
 
     @property
     def near(self) -> BoolArray:
         """(k,) paired in a recent scan, or local to a feature that was; all true without localities."""
-        return _locked(self.rows[2][: self.size[0]])
+        return _locked(self.expected.near)
 
     @property
     def positions(self) -> Array:
         """(k, 2) [m] h_j(x) in R."""
-        return _locked(self.rows[3][: self.size[0]])
+        return _locked(self.expected.positions)
 
     @property
     def covariances(self) -> Array:
         """(k, 2, 2) [m²] H_j P H_jᵀ."""
-        return _locked(self.rows[4][: self.size[0]])
+        return _locked(self.expected.covariances)
 
     @property
     def heading_covariances(self) -> Array:
         """(k, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ."""
-        return _locked(self.rows[5][: self.size[0]])
+        return _locked(self.expected.across)
 
     @property
     def heading_variance(self) -> float:
         """[rad²] of the robot's heading θ."""
-        return self.source[0].item(3)
+        return self.expected.pose.item(3)
 
     @property
     def provisional(self) -> BoolArray:
@@ -193,15 +161,15 @@ class Prediction:
     @property
     def has_localities(self) -> bool:
         """Whether a covisibility graph defines which features are local to each other; otherwise all are."""
-        return len(self.source[3]) > 0
+        return len(self.expected.counts) > 0
 
     @property
     def has_view(self) -> bool:
         """Whether the probability that features are in view is known."""
-        return bool(self.source[4][0][2] > 0.0 or len(self.source[5]))
+        return bool(self.expected.sight[0][2] > 0.0 or len(self.expected.visible))
 
     def __len__(self) -> int:
-        return self.size[0]
+        return len(self.expected.features)
 
     def __repr__(self) -> str:
         return f"Prediction of {len(self)} features at confidence {self.confidence}"
@@ -214,8 +182,8 @@ class Prediction:
     def joint(self, rows: IntArray) -> Array:
         """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,). Raises RuntimeError once the map has changed."""
         self.check()
-        _, state, covariance, *_ = self.source
-        return joint_covariance(state, covariance, self.features[rows], self.size[2])
+        known = self.expected
+        return joint_covariance(known.state, known.covariance, known.features[rows], known.second_order)
 
     def local(self, rows: IntArray) -> BoolArray:
         """(j, j) which of the features at `rows` (j,) are local to each other; symmetric, true on its diagonal.
@@ -225,18 +193,17 @@ class Prediction:
         self.check()
         if not self.has_localities:
             return np.ones((len(rows), len(rows)), np.bool_)
-        return among(self.source[3], self.features[rows])
+        return among(self.expected.counts, self.expected.features[rows])
 
     def visibility(self, rows: IntArray | None = None) -> Array | None:
         """Probability (j,) that the features at `rows` (j,), by default all, are in view of the sensor, walls
         considered; None where unknown."""
-        pose, *_, sight, visible = self.source
+        known, chosen = self.expected, slice(None) if rows is None else rows
         if not self.has_view:
             return None
-        (positions, covariances, _), chosen = self.points, slice(None) if rows is None else rows
-        if len(visible):
-            return visible[chosen].copy()
-        return probabilities_in_view(positions[chosen], covariances[chosen], sight, pose[:3])
+        if len(known.visible):
+            return known.visible[chosen].copy()
+        return probabilities_in_view(known.positions[chosen], known.covariances[chosen], known.sight, known.pose[:3])
 
     def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
         """A copy with probabilities (k,) of being in view, for any pose; None: unknown.
@@ -246,7 +213,7 @@ class Prediction:
         visible = _NOTHING if visibility is None else floats("visibility", visibility, (len(self),))
         if not ((visible >= 0.0) & (visible <= 1.0)).all():
             raise ValueError(f"visibility: expected probabilities, got {visible.tolist()}")
-        return replace(self, source=(*self.source[:4], _NO_SENSOR, visible))
+        return replace(self, expected=self.expected._replace(sight=_NO_SENSOR, visible=visible))
 
     @classmethod
     def from_gaussian(
@@ -271,10 +238,11 @@ class Prediction:
         x, padded_P = np.zeros(side), np.zeros((side, side))
         x[3 : 3 + 2 * k], padded_P[3 : 3 + 2 * k, 3 : 3 + 2 * k] = means.ravel(), P
         blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
-        counted = np.stack([np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)])
-        rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), means, blocks, np.zeros((k, 2))
-        source = np.zeros(4), x, padded_P, _ALL_LOCAL, _NO_SENSOR, _NOTHING
-        return cls(rows, source, (k, k, False, False), confidence)
+        known = np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)
+        near, across, pose = np.ones(k, np.bool_), np.zeros((k, 2)), np.zeros(4)
+        rows = *known, *sizes_of(sizes, size_sigma, k), near, means, blocks, across
+        source = pose, x, padded_P, _ALL_LOCAL, _NO_SENSOR, _NOTHING
+        return cls(Expected(*rows, *source, k, second_order=False, view_moves=False), confidence)
 
 
 Associator = Callable[[Scan, Prediction], Hypothesis]
@@ -347,11 +315,17 @@ def predict(
     k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (counts, since), pose, rows)
     if odometry is not None:
         m.moved()
-    (x, P, _, _), size = m.arrays, (k, m.n, spec.second_order, view_moves)
-    source = pose, x, P, counts, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
-    return Prediction(rows, source, size, spec.confidence, spec.confirmations, experience, m.estimate)
+    (counted, sized, near, positions, covariances, across), (x, P, _, _) = rows, m.arrays
+    (features, kinds, ages, sightings), (sizes, variances) = counted[:, :k], sized[:, :k]
+    view = _NO_SENSOR if sight is None else sight.arrays
+    expected = Expected(
+        features, kinds, ages, sightings, sizes, variances, near[:k], positions[:k], covariances[:k], across[:k],
+        pose, x, P, counts, view, _NOTHING, m.n, spec.second_order, view_moves,
+    )  # fmt: skip
+    return Prediction(expected, spec.confidence, spec.confirmations, experience, m.estimate)
 
 
 def _locked(array: NDArray[Entry]) -> NDArray[Entry]:
-    array.flags.writeable = False
-    return array
+    view = array.view()
+    view.flags.writeable = False
+    return view

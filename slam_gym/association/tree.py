@@ -106,13 +106,11 @@ class Branches(NamedTuple):
 
 def interpretation_tree(scan: Scan, prediction: Prediction, candidates: Candidates) -> Tree:
     """The tree that decides `candidates.measurements` in that order, at the confidence of the prediction."""
-    rows = candidates.rows
-    all_local = np.empty((0, 0), np.bool_)
-    covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    noise, innovations = scan.arrays[1], candidates.innovations
-    pairings = Pairings(candidates.slots, candidates.measured, innovations, noise, covariance, all_local, 0)
+    covariance, all_local = prediction.joint(candidates.rows), np.empty((0, 0), np.bool_)
+    slots, measured, innovations = candidates.slots, candidates.measured, candidates.innovations
+    pairings = Pairings(slots, measured, innovations, scan.arrays[1], covariance, all_local, 0)
     gates = joint_gates(len(candidates.measurements), prediction.confidence)
-    return Tree(scan, prediction, candidates, rows, pairings, gates)
+    return Tree(scan, prediction, candidates, candidates.rows, pairings, gates)
 
 
 def root(tree: Tree) -> Node:

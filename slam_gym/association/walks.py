@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.types import BoolArray, Scan
+from slam_gym.types import BoolArray, IntArray, Scan
 
 Float32Array = NDArray[np.float32]
 Observation = dict[str, Float32Array]
@@ -27,6 +27,14 @@ POSITION_SCALE, SIGMA_SCALE, SIZE_SCALE = 6.0, 0.1, 1.0  # [m]
 
 MEASURED_FIELDS = ("x", "y", "sigma_x", "correlation", "sigma_y", "size")
 """Fields of a measurement, in R. An unknown size is 0."""
+
+
+def in_order(scan: Scan, order: str, candidates: Callable[[], IntArray]) -> IntArray:
+    """The measurements (m,) in an `Order`; `candidates` counts the candidate features of each, (m,)."""
+    if order == "as_scanned":
+        return np.arange(len(scan))
+    key = np.hypot(scan.points[:, 0], scan.points[:, 1]) if order == "nearest_first" else candidates()
+    return np.argsort(key, kind="stable")
 
 
 def squash(value: Any, scale: float) -> Any:

@@ -7,8 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association.tracking.observation import lengths, nothing
-from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
+from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments, nothing
 from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
@@ -55,7 +54,7 @@ class AssociateEnv(BaseEnv):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows) and `path`, as
-    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. All but the
+    `slam_gym.association.tracking.walk` lists them, and `budget`, the fraction of the scans left. All but the
     last are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
 
     ## Rewards
@@ -106,7 +105,7 @@ class AssociateEnv(BaseEnv):
             raise ValueError(f"reward={settings.reward!r}: {unknown}; known: truth")
         self._driver = settings.driver if callable(settings.driver) else DRIVERS[settings.driver]
         self.K = settings.candidates
-        parts: dict[str, spaces.Space[Any]] = {name: box(length) for name, length in lengths(self.K).items()}
+        parts: dict[str, spaces.Space[Any]] = {name: box(len(part)) for name, part in nothing(self.K).items()}
         self.observation_space = spaces.Dict(parts | {"budget": box(1, 0.0)})
         self.action_space = spaces.Discrete(self.K + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over

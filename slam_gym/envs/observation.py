@@ -65,10 +65,9 @@ def observe(
     It contains measurements, and map features where they were expected before the scan, in the robot frame; standard
     deviations of the pose; and an image of free space, walls and feature density around the robot, heading up.
     """
-    x, P, _, _ = slam_map.arrays
-    measured, expected, uncertainty, image = _observe(
-        (scan.points, scan.covariances, scan.sizes), prediction.points, x, P, slam_map.n, grid.drawn, measurements
-    )
+    (x, P, _, _), known = slam_map.arrays, prediction.expected
+    seen, places = (scan.points, scan.covariances, scan.sizes), (known.positions, known.covariances, known.sizes)
+    measured, expected, uncertainty, image = _observe(seen, places, x, P, slam_map.n, grid.drawn, measurements)
     budget = np.array([left], np.float32)
     return {"scan": measured, "features": expected, "uncertainty": uncertainty, "image": image, "budget": budget}
 

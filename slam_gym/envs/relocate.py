@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
-from slam_gym.association.relocation.observation import observe_walk, walk_shapes
-from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec, observe_walk, walk_shapes
 from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, chosen_scenario
 from slam_gym.scenarios import SPLITS, Scenario
@@ -71,7 +70,7 @@ class RelocateEnv(BaseEnv):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `scan`, `path` and `search`, as
-    `slam_gym.association.relocation.observation` lists them.
+    `slam_gym.association.relocation.walk` lists them.
 
     ## Rewards
     −`node_cost` for every node of a step and, at the end, a reward for the best hypothesis. The hypothesis is accepted

@@ -129,7 +129,7 @@ class Identities:
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
         self.decisions, removed = np.empty(len(step.ids), np.int64), step.removed
-        if step.prediction.size[1] == 0:
+        if step.prediction.expected.n == 0:
             left_behind = removed[~np.isin(removed, step.ids) & ~np.isin(removed, step.returned)]
             self._remove(left_behind)
             removed = np.setdiff1d(removed, left_behind)

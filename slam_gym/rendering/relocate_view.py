@@ -33,7 +33,7 @@ def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figure
     features, right = walk.node.hypothesis, kidnapped.features
     codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))  # (m,) by measurement
     codes[features == UNPAIRED] = Decision.DISCARDED
-    codes[~walk.node.decided] = UNDECIDED
+    codes[walk.order[walk.level :]] = UNDECIDED
     picture = picture_with(*_map(walk, mapped, kidnapped, codes), _panel(walk, right, codes, figures))
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
     picture.blit(text(where, TEXT, symbols.MUTED), (14, 10))
@@ -118,7 +118,7 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[ActionRow]:
     """The possible actions: feature, bound on the pairings, and worst D² of its distances to paired features."""
     offer, i = walk.offer, walk.measurement
     assert offer is not None and i is not None
-    m, gate, k = len(walk.order), walk.problem.scan.gates.one, walk.node.pairings
+    m, gate, k = len(walk.order), walk.problem.scan.gate_one, walk.node.pairings
     choices = []
     for action, feature in enumerate(walk.shown.tolist()):
         bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])

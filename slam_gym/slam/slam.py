@@ -170,10 +170,10 @@ class Slam:
         graph.make_room(count)
         is_decided, ids = hypothesis.new is not None, np.empty(count, np.int64)
         created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
-        decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.points[:2]
-        numbers, settings = (m.n, m.step, m.next_id), self._settings()
+        decisions, known = (hypothesis.features, created, is_decided, ids), prediction.expected
+        expected, numbers = (known.positions, known.covariances), (m.n, m.step, m.next_id)
         added, removed, became = learn(
-            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, settings
+            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings()
         )
         self._experience = hypothesis.experience or self._experience
         m.learned(added, len(removed))

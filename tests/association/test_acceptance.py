@@ -139,7 +139,7 @@ def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, 
         m.add(Scan.from_points(points, sigma=0.03), np.arange(count))
         m.predict(Odometry(np.array([1.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.02]) ** 2 * rng.uniform(0.0, 3.0)))
     p = predict(m, 30.0)
-    p.rows[2][:] = rng.random(n) < 0.4
+    p.expected.near[:] = rng.random(n) < 0.4
     return m, p
 
 
@@ -147,7 +147,7 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
     per_area, most, left = 10.0, 0.5, []
     for seed in range(40):
         m, p = old_and_near(np.random.default_rng(seed))
-        p.rows[2][:] &= seed % 4 > 0  # now and then none
+        p.expected.near[:] &= seed % 4 > 0  # now and then none
         features, near, at = p.features.copy(), p.near.copy(), p.positions.copy()
         expected = np.zeros(len(features))
         if near.any():
@@ -157,9 +157,10 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
                 relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
                 expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
         kept = near | (expected <= most)
-        count = keep_unambiguous(p.rows, len(p), m.arrays[1], per_area, most)
-        np.testing.assert_array_equal(p.features[:count], features[kept])
-        np.testing.assert_array_equal(p.positions[:count], at[kept])
+        rows = np.stack(p.expected[:4]), np.stack(p.expected[4:6]), *p.expected[6:10]
+        count = keep_unambiguous(rows, len(p), m.arrays[1], per_area, most)
+        np.testing.assert_array_equal(rows[0][0, :count], features[kept])
+        np.testing.assert_array_equal(rows[3][:count], at[kept])
         left.append(len(features) - count)
     assert 0 in left and max(left) > 4
 
@@ -209,7 +210,7 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
         m.add(Scan.from_points(rng.uniform(-20.0, 20.0, (200, 2)), sigma=0.05), np.arange(200))
         m.predict(Odometry(np.zeros(3), np.diag([uncertain, uncertain, 0.01]) ** 2))
         p = predict(m, 100.0)
-        p.rows[2][: len(p)] = False
+        p.expected.near[:] = False
         scan = Scan.from_points(rng.uniform(-10.0, 10.0, (2, 2)), sigma=0.05)
         counted += int((jcbb(scan, p).features != UNPAIRED).sum() >= k)
         old = np.arange(2) < k

@@ -56,9 +56,8 @@ def test_only_chosen_measurements_are_offered_rows(seed):
 
 def with_rows(prediction, positions, covariances):
     """The same with other positions and covariances."""
-    counted, sized, near, _, _, across = prediction.rows
-    rows = counted, sized, near, np.array(positions), np.array(covariances), across
-    return dataclasses.replace(prediction, rows=rows)
+    known = prediction.expected._replace(positions=np.array(positions), covariances=np.array(covariances))
+    return dataclasses.replace(prediction, expected=known)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.association import gcbb
 from slam_gym.association.policy import relocator_from_policy
-from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
+from slam_gym.association.relocation.walk import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
 from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario

@@ -36,21 +36,21 @@ def expecting(
     x, whole = np.zeros(3 + 2 * n), np.zeros((3 + 2 * n, 3 + 2 * n))
     entries = np.array([3 + 2 * j + a for j in features for a in range(2)], np.int64)
     x[entries], whole[np.ix_(entries, entries)] = positions.ravel(), P
-    counted, sized, all_near, at, blocks, nowhere = plain.rows
-    counted = np.stack([features, counted[1], counted[2], counted[3] if sightings is None else sightings])
-    counts = plain.source[3]
+    known = plain.expected._replace(features=features, state=x, covariance=whole, n=n, view_moves=True)
+    known = known._replace(pose=np.array([0.0, 0.0, 0.0, heading_variance]))
     if related is not None:
         counts = np.zeros((max(n, 1), max(n, 1)), np.int32)
         counts[np.ix_(features, features)] = related
-    rows = counted, sized, all_near if near is None else near, at, blocks, nowhere if across is None else across
-    source = np.array([0.0, 0.0, 0.0, heading_variance]), x, whole, counts, *plain.source[4:]
-    return dataclasses.replace(plain, rows=rows, source=source, size=(k, n, False, True), confirmations=confirmations)
+        known = known._replace(counts=counts)
+    given = {"near": near, "across": across, "sightings": sightings}
+    known = known._replace(**{name: array for name, array in given.items() if array is not None})
+    return dataclasses.replace(plain, expected=known, confirmations=confirmations)
 
 
 def turning_by(prediction: Prediction, variance: float) -> Prediction:
     """The same for a heading of that variance [rad²], which is not correlated with anything."""
-    _, *source = prediction.source
-    return dataclasses.replace(prediction, source=(np.array([0.0, 0.0, 0.0, variance]), *source))
+    turned = prediction.expected._replace(pose=np.array([0.0, 0.0, 0.0, variance]))
+    return dataclasses.replace(prediction, expected=turned)
 
 
 def related_by(prediction: Prediction, related: Array) -> Prediction:
@@ -68,10 +68,8 @@ def related_by(prediction: Prediction, related: Array) -> Prediction:
 
 def without_locality(prediction: Prediction) -> Prediction:
     """The same, with all features local to all."""
-    counted, sized, near, *rest = prediction.rows
-    *before, _, sight, visible = prediction.source
-    source = *before, np.empty((0, 0), np.int32), sight, visible
-    return dataclasses.replace(prediction, rows=(counted, sized, np.ones(len(near), np.bool_), *rest), source=source)
+    all_near, all_local = np.ones(len(prediction), np.bool_), np.empty((0, 0), np.int32)
+    return dataclasses.replace(prediction, expected=prediction.expected._replace(near=all_near, counts=all_local))
 
 
 def problem(

@@ -27,10 +27,9 @@ SIGHT = ViewsFrom(1.2, 1.6)
 
 def looking(prediction: Prediction, sight: ViewsFrom | None = SIGHT, moves: bool = True) -> Prediction:
     """The same for a robot that knows what its sensor shows."""
-    *before, _, visible = prediction.source
     nobody = ((0.0, 0.0, 0.0, 0.0), tuple(NOTHING_EXPLORED))
-    source = *before, nobody if sight is None else sight.arrays, visible
-    return dataclasses.replace(prediction, source=source, size=(*prediction.size[:3], moves))
+    seen = nobody if sight is None else sight.arrays
+    return dataclasses.replace(prediction, expected=prediction.expected._replace(sight=seen, view_moves=moves))
 
 
 def dressed(prediction: Prediction, seed: int) -> Prediction:
@@ -74,11 +73,11 @@ def in_view(sight: ViewsFrom, positions: Array, covariances: Array, pose: Array 
 def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> Array | None:
     """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
     fixed = prediction.visibility()
-    if fixed is None or len(prediction.source[5]):
+    if fixed is None or len(prediction.expected.visible):
         return fixed
     n = len(prediction)
     positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
-    if pairs and prediction.size[3]:
+    if pairs and prediction.expected.view_moves:
         nu, S = stacked(scan, prediction, pairs)
         entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
         gain = P[:, entries] @ np.linalg.inv(S)

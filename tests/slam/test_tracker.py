@@ -28,7 +28,7 @@ def doubts(
 ) -> bool:
     """Whether the tracker doubts a scan that measured ahead of the robot."""
     if established is not None:
-        expected.rows[0][3] = established  # sightings
+        expected.expected.sightings[:] = established
         expected = replace(expected, confirmations=1)
     scan = Scan.from_points(np.full((len(hypothesis.features), 2), [2.0, 0.0]), sigma=0.1)
     return not tracker.believes(scan, expected, hypothesis)

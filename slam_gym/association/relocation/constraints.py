@@ -25,13 +25,6 @@ Attributes = tuple[Array, Array, IntArray]
 """Sizes [m] and their variances [m²], NaN where unknown, and kinds, of all measurements or features."""
 
 
-class Gates(NamedTuple):
-    """χ² gates at one confidence."""
-
-    one: float  # χ²_1: distances, areas, sizes
-    two: float  # χ²_2: distances between close points
-
-
 class Measured(NamedTuple):
     """A scan and quantities derived from it, as the compiled constraints take it, at one confidence."""
 
@@ -43,7 +36,8 @@ class Measured(NamedTuple):
     distances: Array  # (m, m) [m] between measurements
     variances: Array  # (m, m) [m²] of those, uᵀ(R_i + R_k)u
     spreads: Array  # (m, m) [m²] largest eigenvalue of R_i + R_k
-    gates: Gates
+    gate_one: float  # χ²_1: distances, areas, sizes
+    gate_two: float  # χ²_2: distances between close points
 
 
 class Mapped(NamedTuple):
@@ -128,15 +122,14 @@ def measured(scan: ScanArrays, confidence: float) -> Measured:
 
     Raises ValueError unless 0 < confidence < 1.
     """
-    gates = Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
-    points, noise, *_ = scan
+    gate_one, gate_two, (points, noise, *_) = chi2_gate(1, confidence), chi2_gate(2, confidence), scan
     x, y = (points[None] - points[:, None]).transpose(2, 0, 1)
     (xx, xy), (_, yy) = (noise[:, None] + noise[None]).transpose(2, 3, 0, 1)
     with np.errstate(over="ignore", invalid="ignore"):
         square, spreads = x * x + y * y, 0.5 * (xx + yy) + np.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)
         along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / np.where(square > 0.0, square, 1.0)
     variances = np.where(square > 0.0, along, spreads)
-    return Measured(*scan, np.sqrt(square), variances, spreads, gates)
+    return Measured(*scan, np.sqrt(square), variances, spreads, gate_one, gate_two)
 
 
 @compiled
@@ -208,15 +201,15 @@ def binary_test(scan: Measured, mapped: Mapped, i: int, j: int, k: int, l: int) 
     square, spread = x * x + y * y, scan.spreads[i, k]
     error = scan.distances[i, k] - math.sqrt(square)
     P = mapped.covariances
-    if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], scan.gates.two):
+    if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], scan.gate_two):
         return False
     xx, xy, yy = difference_covariance(mapped, j, l)
     largest = 0.5 * (xx + yy) + math.sqrt((0.5 * (xx - yy)) ** 2 + xy * xy)  # the eigenvalue
     widest = spread + max(largest, 0.0)
     if min(square, scan.distances[i, k] ** 2) < _CLOSE * widest:
-        return bool(error * error < scan.gates.two * widest)
+        return bool(error * error < scan.gate_two * widest)
     variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
-    return bool(error * error < scan.gates.one * (scan.variances[i, k] + max(variance, 0.0)))
+    return bool(error * error < scan.gate_one * (scan.variances[i, k] + max(variance, 0.0)))
 
 
 @compiled
@@ -246,7 +239,7 @@ def orientation_test(scan: Measured, mapped: Mapped, ikp: tuple[int, int, int], 
         xx, xy, yx, yy = cross_covariance(mapped, a, b)
         map_variance += gx * gx * P[0, 0] + 2.0 * gx * gy * P[0, 1] + gy * gy * P[1, 1]
         map_variance += 2.0 * (gx * (xx * hx + xy * hy) + gy * (yx * hx + yy * hy))
-    return bool((area_scan - area_map) ** 2 < scan.gates.one * (variance + max(map_variance, 0.0)))
+    return bool((area_scan - area_map) ** 2 < scan.gate_one * (variance + max(map_variance, 0.0)))
 
 
 def unary_table(of_scan: Attributes, of_map: Attributes, gate: float) -> BoolArray:

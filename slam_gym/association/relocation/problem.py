@@ -11,16 +11,8 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.constraints import (
-    Mapped,
-    Measured,
-    Path,
-    locality_arrays,
-    map_arrays,
-    measured,
-    scan_arrays,
-    unary_table,
-)
+from slam_gym.association.relocation import constraints
+from slam_gym.association.relocation.constraints import Mapped, Measured, Path
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.geometry import wrap_angles
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
@@ -80,9 +72,9 @@ def problem_of(
     scan: Scan, mapped: Mapped, locality: Locality | None, confidence: float, *, tabulate: bool = True
 ) -> Problem:
     """The input of a search without a prior. Raises ValueError for bad numbers in scan or locality."""
-    arrays = scan_arrays(scan)
-    seen, members = measured(arrays, confidence), locality_arrays(locality, len(mapped.positions))
-    table = unary_table(arrays[2:], mapped[2:5], seen.gates.one) if tabulate else np.empty((0, 0), np.bool_)
+    seen = constraints.measured(constraints.scan_arrays(scan), confidence)
+    members = constraints.locality_arrays(locality, len(mapped.positions))
+    table = constraints.unary_table(seen[2:5], mapped[2:5], seen.gate_one) if tabulate else np.empty((0, 0), np.bool_)
     return Problem(seen, mapped, location_gates(len(scan), confidence), table, *members, np.zeros(len(INDEX), np.int64))
 
 
@@ -102,7 +94,7 @@ def searched(
     """
     if min_pairings is not None and min_pairings < 2:
         raise ValueError(f"min_pairings: {min_pairings} is less than 2")
-    began, problem = time.perf_counter(), problem_of(scan, map_arrays(landmarks), locality, confidence)
+    began, problem = time.perf_counter(), problem_of(scan, constraints.map_arrays(landmarks), locality, confidence)
     best = nothing_found(len(scan), min_pairings)
     search(problem, best)
     if min_pairings is None:

@@ -144,9 +144,9 @@ def _compatible(
         for k in range(len(local)):
             j, squares[k] = local[k], math.inf
             dx, dy, sxx, sxy, syy = F[j, 0] - x, F[j, 1] - y, xx + P[j, 0, 0], xy + P[j, 0, 1], yy + P[j, 1, 1]
-            if problem.allowed[i, j] and dx * dx < scan.gates.two * sxx:
+            if problem.allowed[i, j] and dx * dx < scan.gate_two * sxx:
                 squares[k] = (syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy) / (sxx * syy - sxy * sxy)
-        near = np.flatnonzero(squares < scan.gates.two)
+        near = np.flatnonzero(squares < scan.gate_two)
         if len(near) > 0 and not (path.measurements[:p] == i).any():
             measurements.append(i)
             features.append(local[near[np.argsort(squares[near], kind="mergesort")]])

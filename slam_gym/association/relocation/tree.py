@@ -3,93 +3,19 @@
 A pairing is legal under four conditions: it satisfies the unary constraints; its distances agree with all pairings on
 the path, and its orientation with the first and every other one; its feature is unused; and this is local to the
 feature of the first pairing. `follows` is the only implementation of this rule. `next_branch` returns the next branch
-of a depth-first search, for `gcbb` and `random_sampling`. A `RelocationNode`, for walks, stores all pairings that are
-still legal, since a pairing that is illegal at a node is illegal in its whole subtree. `branches` returns the branches
-of a node, `extend` the node after a decision.
+of a depth-first search, for `gcbb` and `random_sampling`. Walks store all pairings that are still legal
+(`keep_what_follows`), since a pairing that is illegal at a node is illegal in its whole subtree.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.constraints import (
-    Mapped,
-    Measured,
-    Path,
-    binary_test,
-    difference_covariance,
-    far_apart,
-    orientation_test,
-)
+from slam_gym.association.relocation import constraints
+from slam_gym.association.relocation.constraints import Mapped, Measured, Path
 from slam_gym.association.relocation.problem import INDEX, Problem
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
-
-
-@dataclass(frozen=True, slots=True)
-class RelocationNode:
-    """The decisions that lead to a node, and the pairings that may still follow."""
-
-    path: Path  # (p,) the pairings
-    decided: BoolArray  # (m,) which measurements are decided
-    alive: BoolArray  # (m, n) pairings of undecided measurements that are legal after those of the path
-
-    @property
-    def pairings(self) -> int:
-        """Number of pairings on the path."""
-        return len(self.path.features)
-
-    def bound_without(self, measurement: int | None) -> int:
-        """Upper bound of the pairings of any hypothesis below this node that leaves `measurement`, if any, unpaired."""
-        alive = self.alive
-        if measurement is not None:
-            alive = alive.copy()
-            alive[measurement] = False
-        return self.pairings + int(min(alive.any(axis=1).sum(), alive.any(axis=0).sum()))
-
-    @property
-    def hypothesis(self) -> IntArray:
-        """Feature paired with each measurement (m,); UNPAIRED for `*` and for undecided measurements."""
-        features = np.full(len(self.decided), UNPAIRED)
-        features[self.path.measurements] = self.path.features
-        return features
-
-
-@dataclass(frozen=True, slots=True)
-class RelocationBranches:
-    """The features that a measurement may be paired with, by descending support, then ascending mean distance."""
-
-    features: IntArray  # (b,)
-    support: IntArray  # (b,) number of undecided other measurements that keep a legal feature after this pairing
-    mean: Array  # (b,) mean (g_scan − g_map)² / (σ²_scan + σ²_map) of the distances to pairings of the path; 0 if none
-    worst: Array  # (b,) their maximum
-    local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
-
-
-def root(problem: Problem) -> RelocationNode:
-    """The root, at which nothing is decided."""
-    nothing = np.empty(0, np.int64)
-    return RelocationNode(Path(nothing, nothing), np.zeros(len(problem.allowed), np.bool_), problem.allowed)
-
-
-def branches(problem: Problem, node: RelocationNode, measurement: int) -> RelocationBranches:
-    """The features that `measurement` may be paired with at `node`. `*`, always legal, is not listed."""
-    candidates = np.flatnonzero(node.alive[measurement])
-    support, figures = _look_ahead(problem, node.alive, node.path, measurement, candidates)
-    order = np.lexsort((figures[:, 0], -support))
-    return RelocationBranches(candidates[order], support[order], *figures[order].T)
-
-
-def extend(problem: Problem, node: RelocationNode, measurement: int, feature: int) -> RelocationNode:
-    """The node after an undecided `measurement` is paired with a legal feature or left UNPAIRED."""
-    decided, alive = node.decided.copy(), node.alive.copy()
-    decided[measurement], alive[measurement] = True, False
-    if feature == UNPAIRED:
-        return RelocationNode(node.path, decided, alive)
-    path = Path(np.append(node.path.measurements, measurement), np.append(node.path.features, feature))
-    keep_what_follows(problem, alive, path)
-    return RelocationNode(path, decided, alive)
 
 
 @compiled
@@ -105,11 +31,12 @@ def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int
         if features[a] == j:
             return False
         effort[INDEX.binary_tests] += 1
-        if not binary_test(scan, mapped, measurements[a], features[a], i, j):
+        if not constraints.binary_test(scan, mapped, measurements[a], features[a], i, j):
             return False
     for a in range(max(since, 1), p):
         effort[INDEX.orientation_tests] += 1
-        if not orientation_test(scan, mapped, (measurements[0], measurements[a], i), (features[0], features[a], j)):
+        corners, of_map = (measurements[0], measurements[a], i), (features[0], features[a], j)
+        if not constraints.orientation_test(scan, mapped, corners, of_map):
             return False
     return True
 
@@ -122,7 +49,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
     Candidates are the features local to the first one paired, or all. The first `tried` of them were examined before.
     """
     scan, mapped, effort, allowed = problem.scan, problem.mapped, problem.effort, problem.allowed
-    F, P, starts, members, gate = mapped.positions, mapped.covariances, problem.starts, problem.members, scan.gates.two
+    F, P, starts, members, gate = mapped.positions, mapped.covariances, problem.starts, problem.members, scan.gate_two
     begin, end, x, y, trace, distance, spread = 0, len(F), 0.0, 0.0, 0.0, 0.0, 0.0
     first, restricted = path.features[0] if p > 0 else UNPAIRED, p > 0 and len(starts) > 0
     if restricted:
@@ -137,7 +64,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
             continue
         if p > 0:  # the first test of `follows`, with values read once: it settles most pairings
             error = distance - math.sqrt((F[j, 0] - x) ** 2 + (F[j, 1] - y) ** 2)
-            if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
+            if constraints.far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
                 effort[INDEX.binary_tests] += first != j
                 continue
         if follows(scan, mapped, effort, path, p, i, j, 0):
@@ -167,7 +94,7 @@ def keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
 
 
 @compiled
-def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> tuple[IntArray, Array]:
+def look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> tuple[IntArray, Array]:
     """Support (b,), and mean, worst and local (b, 3), of pairing measurement i with each of `candidates` (b,)."""
     scan, mapped, effort, positions = problem.scan, problem.mapped, problem.effort, problem.mapped.positions
     p = len(path.features)
@@ -187,7 +114,7 @@ def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidat
             k, l = path.measurements[a], path.features[a]
             x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
             square = max(x * x + y * y, 1e-12)
-            xx, xy, yy = difference_covariance(mapped, j, l)
+            xx, xy, yy = constraints.difference_covariance(mapped, j, l)
             variance = scan.variances[i, k] + max((x * x * xx + 2.0 * x * y * xy + y * y * yy) / square, 0.0)
             distance = (scan.distances[i, k] - square**0.5) ** 2 / max(variance, 1e-12)
             total, worst = total + distance, max(worst, distance)

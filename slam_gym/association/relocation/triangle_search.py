@@ -176,10 +176,10 @@ def _seed(table: TriangleHash, scan: Measured, triple: IntArray) -> _Seed:
         u, v = points[others[p], 0] - x, points[others[p], 1] - y
         variance = 0.5 * scan.spreads[others[p], others[p]] + at_centroid + (u * u + v * v) * of_heading
         offsets[p, 0], offsets[p, 1] = u, v
-        limits[p] = min(int(math.sqrt(scan.gates.two * variance) / table.raster.step), FAR)
+        limits[p] = min(int(math.sqrt(scan.gate_two * variance) / table.raster.step), FAR)
     i, k, l = triple
     of_sides = max(scan.variances[i, k], scan.variances[k, l], scan.variances[l, i])
-    margin = math.sqrt(scan.gates.one * (2.0 * table.widest + of_sides))
+    margin = math.sqrt(scan.gate_one * (2.0 * table.widest + of_sides))
     return _Seed(offsets, limits, (x, y), (at_centroid, of_heading), margin)
 
 
@@ -204,7 +204,7 @@ def _try_triple(table: TriangleHash, problem: Problem, node_limit: int, best: Be
 @compiled
 def _similar_triangles(table: TriangleHash, problem: Problem, corners: IntArray) -> Integers32:
     """Corners (t, 3) of the triangles whose sides match those between three measurements, within the gate."""
-    scan, gate = problem.scan, problem.scan.gates.one
+    scan, gate = problem.scan, problem.scan.gate_one
     sides, variances, low, high = np.empty(3), np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(3):
         i, l = corners[k], corners[(k + 1) % 3]
@@ -345,7 +345,7 @@ def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
     kind, of_feature, difference = scan.kinds[i], mapped.kinds[j], scan.sizes[i] - mapped.sizes[j]
     if kind != of_feature and kind != UNKNOWN_KIND and of_feature != UNKNOWN_KIND:
         return False
-    if difference * difference > scan.gates.one * (scan.size_variances[i] + mapped.size_variances[j]):  # NaN passes
+    if difference * difference > scan.gate_one * (scan.size_variances[i] + mapped.size_variances[j]):  # NaN passes
         return False
     if len(problem.starts) == 0:
         return True
@@ -363,7 +363,7 @@ def _pair_at(table: TriangleHash, problem: Problem, placed: _Placed, anchor: int
     `needed`.
     """
     scan, positions, spreads = problem.scan, problem.mapped.positions, problem.mapped.covariances
-    grid, gate, misses, (pose, P, features, squares) = table.grid, problem.scan.gates.two, 0, placed
+    grid, gate, misses, (pose, P, features, squares) = table.grid, problem.scan.gate_two, 0, placed
     (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
         x, y, xx, xy, yy = place_of(scan.points, scan.noise, i, pose, P)

@@ -10,13 +10,49 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam_gym.association import walks
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.relocation.constraints import map_arrays
+from slam_gym.association.relocation.constraints import Path, map_arrays
 from slam_gym.association.relocation.problem import INDEX, answer_of, nothing_found, offer, problem_of
-from slam_gym.association.relocation.tree import RelocationBranches, branches, extend, root
-from slam_gym.association.walks import ORDERS, Order
-from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.association.relocation.tree import keep_what_follows, look_ahead
+from slam_gym.association.walks import Observation, Order, squash
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count, one_of
+
+MEASUREMENT_FIELDS = ("present", *walks.MEASURED_FIELDS, "legal", "hidden")
+"""Fields of the measurement to decide, in R. `legal`, `hidden`: numbers of legal candidates, and of those not shown."""
+
+CANDIDATE_FIELDS = ("legal", "support", "bound", "mean", "worst", "size_difference", "covisibility")
+"""Columns of `candidates`, best first. `support`: fraction of the undecided measurements that keep a legal feature
+after this pairing; `bound`: fraction of the scan that the hypothesis could then pair; `mean`, `worst`: D² of its
+distances to the pairings of the path; `size_difference` in σ; `covisibility`: fraction of the path's features that are
+local to it."""
+
+SCAN_FIELDS = ("present", "x", "y", "size", "decided", "paired", "candidates")
+"""Columns of `scan`, one row for each measurement in the order of the levels."""
+
+PATH_FIELDS = (
+    "level",  # fraction of the measurements decided
+    "pairings",  # fraction of the measurements paired
+    "bound",  # fraction of the measurements that no hypothesis below this node exceeds
+    "without",  # the bound below `*`
+    "leaf",  # only stopping or restarting is left
+    "compatible",  # the leaf passed the joint test
+)
+"""Fields of `path`: the decisions of this try, and what may follow."""
+
+SEARCH_FIELDS = (
+    "best",  # pairings of the best hypothesis so far, as a fraction
+    "best_distance",  # its D² over its degrees of freedom
+    "accepted",  # whether it would be accepted
+    "needed",  # pairings required for acceptance, as a fraction
+    "nodes_left",  # fraction of the node limit
+    "tries",
+)
+"""Fields of `search`: the result of all tries so far."""
+
+DISTANCE_SCALE = 2.0  # of D²
+COUNT_SCALE = 4.0
 
 
 @dataclass(frozen=True)
@@ -32,7 +68,7 @@ class WalkSpec:
     def __post_init__(self) -> None:
         check_count("candidates", self.candidates)
         check_count("node_limit", self.node_limit)
-        one_of("order", self.order, ORDERS)
+        one_of("order", self.order, walks.ORDERS)
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"confidence: {self.confidence} is not between 0 and 1")
 
@@ -52,6 +88,45 @@ class WalkSpec:
         return self.candidates + 2
 
 
+@dataclass(frozen=True, slots=True)
+class RelocationNode:
+    """The decisions that lead to a node, and the pairings that may still follow."""
+
+    path: Path  # (p,) the pairings
+    alive: BoolArray  # (m, n) pairings of undecided measurements that are legal after those of the path
+
+    @property
+    def pairings(self) -> int:
+        """Number of pairings on the path."""
+        return len(self.path.features)
+
+    def bound_without(self, measurement: int | None) -> int:
+        """Upper bound of the pairings of any hypothesis below this node that leaves `measurement`, if any, unpaired."""
+        alive = self.alive
+        if measurement is not None:
+            alive = alive.copy()
+            alive[measurement] = False
+        return self.pairings + int(min(alive.any(axis=1).sum(), alive.any(axis=0).sum()))
+
+    @property
+    def hypothesis(self) -> IntArray:
+        """Feature paired with each measurement (m,); UNPAIRED for `*` and for undecided measurements."""
+        features = np.full(len(self.alive), UNPAIRED)
+        features[self.path.measurements] = self.path.features
+        return features
+
+
+@dataclass(frozen=True, slots=True)
+class RelocationBranches:
+    """The features that a measurement may be paired with, by descending support, then ascending mean distance."""
+
+    features: IntArray  # (b,)
+    support: IntArray  # (b,) number of undecided other measurements that keep a legal feature after this pairing
+    mean: Array  # (b,) mean (g_scan − g_map)² / (σ²_scan + σ²_map) of the distances to pairings of the path; 0 if none
+    worst: Array  # (b,) their maximum
+    local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
+
+
 class RelocationWalk:
     """A walk through the tree of one scan, from the root until the walker stops or the node limit is reached.
 
@@ -69,7 +144,7 @@ class RelocationWalk:
         self.done = False
         self._first_offer: RelocationBranches | None = None  # the same for every try
         self._kept = nothing_found(len(scan))
-        self.order = self._in_order()  # (m,) the measurements, level by level
+        self.order = walks.in_order(scan, spec.order, lambda: self.problem.allowed.sum(axis=1))  # (m,) level by level
         self.best = self.answer()
         self._begin()
 
@@ -145,7 +220,8 @@ class RelocationWalk:
 
     def _begin(self) -> None:
         """Start a new try from the root."""
-        self.node = root(self.problem)
+        nothing = np.empty(0, np.int64)
+        self.node = RelocationNode(Path(nothing, nothing), self.problem.allowed)
         self.compatible: bool | None = None  # at a leaf: whether the hypothesis passes the joint test
         self.offered: list[tuple[int, int]] = []  # of each level decided: candidates on offer, action taken
         self.problem.effort[INDEX.nodes] += 1
@@ -153,17 +229,13 @@ class RelocationWalk:
         self.offer: RelocationBranches | None = None  # the ranked features for the measurement; None at a leaf
         self._go_on()
 
-    def _in_order(self) -> IntArray:
-        points = self.scan.points
-        if self.spec.order == "as_scanned":
-            return np.arange(len(points))
-        far = np.hypot(points[:, 0], points[:, 1])
-        few = self.problem.allowed.sum(axis=1)
-        return np.argsort(far if self.spec.order == "nearest_first" else few, kind="stable")
-
     def _decide(self, action: int) -> None:
-        feature = UNPAIRED if action == self.spec.star else int(self.shown[action])
-        self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
+        i, path, alive = self.order[self.level], self.node.path, self.node.alive.copy()
+        alive[i] = False
+        if action != self.spec.star:
+            path = Path(np.append(path.measurements, i), np.append(path.features, self.shown[action]))
+            keep_what_follows(self.problem, alive, path)
+        self.node = RelocationNode(path, alive)
         self.offered.append((len(self.shown), action))
         self.problem.effort[INDEX.nodes] += 1
 
@@ -178,7 +250,11 @@ class RelocationWalk:
         elif at_root and self._first_offer is not None:
             self.offer = self._first_offer
         else:
-            self.offer = branches(self.problem, self.node, int(self.order[self.level]))
+            i, alive = int(self.order[self.level]), self.node.alive
+            features = np.flatnonzero(alive[i])
+            support, figures = look_ahead(self.problem, alive, self.node.path, i, features)
+            order = np.lexsort((figures[:, 0], -support))
+            self.offer = RelocationBranches(features[order], support[order], *figures[order].T)
             self._first_offer = self._first_offer or self.offer
 
     @property
@@ -192,3 +268,55 @@ class RelocationWalk:
         if holds:
             self.best = self.answer()
         return holds
+
+
+def walk_shapes(candidates: int, measurements: int) -> dict[str, tuple[int, int]]:
+    """Rows and columns of each part of the observation, for K `candidates` and scans of at most `measurements`."""
+    return {
+        "measurement": (1, len(MEASUREMENT_FIELDS)),
+        "candidates": (candidates, len(CANDIDATE_FIELDS)),
+        "scan": (measurements, len(SCAN_FIELDS)),
+        "path": (1, len(PATH_FIELDS)),
+        "search": (1, len(SEARCH_FIELDS)),
+    }
+
+
+def observe_walk(walk: RelocationWalk, measurements: int) -> Observation:
+    """The parts of `walk_shapes`, flat, in [−1, 1]. Of a longer scan, the first `measurements` levels are shown."""
+    shapes = walk_shapes(walk.spec.candidates, measurements)
+    parts = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    scan, node, offer, best, m = walk.scan, walk.node, walk.offer, walk.best, max(len(walk.scan), 1)
+    if offer is not None:
+        i, shown, support = int(walk.order[walk.level]), walk.shown, offer.support[: len(walk.shown)]
+        counts = squash(len(offer.features), COUNT_SCALE), squash(walk.hidden, COUNT_SCALE)
+        parts["measurement"][0] = 1.0, *walks.measurement_shown(scan, i), *counts
+        variances = np.maximum(scan.size_variances[i] + walk.landmarks.size_variances[shown], 1e-12)
+        difference = (scan.sizes[i] - walk.landmarks.sizes[shown]) / np.sqrt(variances)
+        parts["candidates"][: len(shown)] = np.column_stack(
+            [
+                np.ones(len(shown)),
+                support / max(m - walk.level - 1, 1),
+                (node.pairings + 1 + support) / m,
+                squash(offer.mean[: len(shown)], DISTANCE_SCALE),
+                squash(offer.worst[: len(shown)], DISTANCE_SCALE),
+                np.nan_to_num(squash(difference, 1.0)),
+                offer.local[: len(shown)],
+            ]
+        )
+    levels = walk.order[:measurements]
+    parts["scan"][: len(levels)] = np.column_stack(
+        [
+            np.ones(len(levels)),
+            squash(scan.points[levels], walks.POSITION_SCALE),
+            squash(np.nan_to_num(scan.sizes[levels]), walks.SIZE_SCALE),
+            np.arange(len(levels)) < walk.level,
+            np.isin(levels, node.path.measurements),
+            squash(node.alive[levels].sum(axis=1), COUNT_SCALE),
+        ]
+    )
+    of_path = np.array([walk.level, node.pairings, node.bound_without(None), node.bound_without(walk.measurement)])
+    parts["path"][0] = *(of_path / m), walk.at_leaf, bool(walk.compatible)
+    distance, tries = best.joint_distance / max(best.dof, 1), squash(walk.tries - 1, COUNT_SCALE)
+    needed, left = min(walk.needed / m, 1.0), 1.0 - walk.nodes / walk.spec.node_limit
+    parts["search"][0] = best.pairings / m, squash(distance, DISTANCE_SCALE), best.accepted, needed, left, tries
+    return {name: part.ravel() for name, part in parts.items()}

@@ -15,18 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.tree import (
-    Innovation,
-    Pairings,
-    Pivot,
-    condition,
-    innovation_of,
-    is_local,
-    pivot_of,
-    read,
-    squared,
-    store,
-)
+from slam_gym.association import tree
+from slam_gym.association.tree import Innovation, Pairings, Pivot
 from slam_gym.types import Array, IntArray
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
@@ -120,7 +110,7 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Joi
     joined = Joined(np.empty((N, 5)), np.empty((N, 2 * depth, 2)))
     for d in range(pairings.fixed):
         e = _join(pairings, joined, room.made[0, 0], room.nodes[0, 0], d, d, node_count)
-        room.score[0, 0] += -0.5 * squared(e) - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
+        room.score[0, 0] += -0.5 * tree.squared(e) - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
         room.pairings[0, 0], node_count = d + 1, node_count + 1
     return room, joined, node_count
 
@@ -128,12 +118,12 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Joi
 @inlined
 def _join(pairings: Pairings, joined: Joined, made: IntArray, nodes: IntArray, p: int, c: int, used: int) -> Innovation:
     """Append pairing c to the p pairings of a hypothesis, as node number `used`. Returns its innovation given these."""
-    slots, e = pairings.slots, innovation_of(pairings, c)
+    slots, e = pairings.slots, tree.innovation_of(pairings, c)
     for q in range(p):
         v = joined.pivots[nodes[q]]
         pivot = Pivot(slots[made[q]], v[0], v[1], v[2], v[3], v[4])
-        e = condition(pairings.covariance, joined.w, pivot, nodes[q], q, used, slots[c], e)
-    pivot, v = pivot_of(0, e), joined.pivots[used]
+        e = tree.condition(pairings.covariance, joined.w, pivot, nodes[q], q, used, slots[c], e)
+    pivot, v = tree.pivot_of(0, e), joined.pivots[used]
     v[0], v[1], v[2], v[3], v[4] = pivot.inverse_xx, pivot.yx, pivot.inverse_yy, pivot.u, pivot.v
     made[p], nodes[p] = c, used
     return e
@@ -173,13 +163,14 @@ def _offer_pairing(
     pivots, w, slot = joined.pivots, joined.w, slots[c]
     most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
     valid, tests = 0, 0
-    store(innovations, 0, innovation_of(pairings, c))
+    tree.store(innovations, 0, tree.innovation_of(pairings, c))
     for b in range(kept):
-        valid, p = min(valid, shared[b]), count[now, b]
-        previous = score[now, b]
-        if previous + most <= best - margin or (p > fixed and not is_local(local, slots[made[now, b, fixed]], slot)):
+        valid, p, previous = min(valid, shared[b]), count[now, b], score[now, b]
+        if previous + most <= best - margin:
             continue
-        e, free = read(innovations, valid), True
+        if p > fixed and not tree.is_local(local, slots[made[now, b, fixed]], slot):
+            continue
+        e, free = tree.read(innovations, valid), True
         for q in range(p):
             free &= slots[made[now, b, q]] != slot
         if not free:
@@ -187,9 +178,9 @@ def _offer_pairing(
         for q in range(valid, p):
             d = path[now, b, q]
             pivot = Pivot(slots[made[now, b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
-            e = condition(covariance, w, pivot, d, q, _SCRATCH, slot, e)
-            store(innovations, q + 1, e)
-        distance, valid, tests = squared(e), p, tests + 1
+            e = tree.condition(covariance, w, pivot, d, q, _SCRATCH, slot, e)
+            tree.store(innovations, q + 1, e)
+        distance, valid, tests = tree.squared(e), p, tests + 1
         if previous + most - 0.5 * distance <= best - margin:  # rejects most, before the logarithm
             continue
         total = previous + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI

@@ -47,14 +47,14 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
     if not variance > 0.0:
         return jcbb(scan, prediction, node_limit=node_limit)
     gates, optimised = joint_gates(len(scan), prediction.confidence), [0.0]
-    (_, state, covariance, *_), second_order = prediction.source, prediction.size[2]
+    known = prediction.expected
 
     def search(offer: Offer, rows: IntArray) -> Effort:
         p, mean, across = offer.pairings, prediction.positions[offer.rows], prediction.heading_covariances[offer.rows]
         z = scan.points[p.measured]
-        if second_order:  # back to the mean and covariance of first order, since e(φ) is exact in the heading
-            shift, features = 0.5 * np.column_stack([across[:, 1], -across[:, 0]]), prediction.features[offer.rows]
-            mean, first_order = mean - shift, joint_covariance(state, covariance, features, False)
+        if known.second_order:  # back to the mean and covariance of first order, since e(φ) is exact in the heading
+            shift, features = 0.5 * np.column_stack([across[:, 1], -across[:, 0]]), known.features[offer.rows]
+            mean, first_order = mean - shift, joint_covariance(known.state, known.covariance, features, False)
             p = p._replace(innovations=p.innovations + shift[p.slots], covariance=first_order)
         slopes = (np.column_stack([-mean[:, 1], mean[:, 0]]) + across / variance)[p.slots]
         errors = np.stack([p.innovations, z, np.column_stack([-z[:, 1], z[:, 0]]), slopes], axis=2)

@@ -10,20 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled, inlined
+from slam_gym.association import tree
 from slam_gym.association.compatibility import joint_gates
-from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, offer
-from slam_gym.association.tree import (
-    Pairings,
-    condition,
-    condition_on_fixed,
-    is_local,
-    may_follow,
-    pivot_of,
-    read,
-    squared,
-    store,
-)
+from slam_gym.association.tree import Pairings
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan, ScanArrays
 from slam_gym.validation import check_count
 
@@ -45,7 +36,7 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hy
 
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     rows, distance, spent = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False)
     for search in range(1 if len(expected.counts) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, gates[1], len(expected.features))
@@ -161,11 +152,11 @@ def _stack_at(pairings: Pairings, path: IntArray, feature: IntArray) -> _Stack:
         np.zeros(feature.max() + 2, np.int64),
     )
     innovations, alive_count, last = stack.innovations[fixed], 0, _UNDECIDED
-    distance = condition_on_fixed(pairings, innovations, stack.w)
+    distance = tree.condition_on_fixed(pairings, innovations, stack.w)
     for c in range(fixed, count):
-        if not may_follow(pairings, path, fixed, c):
+        if not tree.may_follow(pairings, path, fixed, c):
             continue
-        stack.total[fixed, c] = distance + squared(read(innovations, c))
+        stack.total[fixed, c] = distance + tree.squared(tree.read(innovations, c))
         stack.alive[fixed, alive_count] = c
         alive_count += 1
         if measured[c] != last:
@@ -189,7 +180,7 @@ def _push(
     slots, measured, _, _, covariance, local, fixed = pairings
     alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
     before, after, restricted = innovations[p], innovations[p + 1], p == fixed
-    pivot = pivot_of(slots[d], read(before, d))
+    pivot = tree.pivot_of(slots[d], tree.read(before, d))
     q, distance, remaining, count, tests = p + 1, totals[p, d], level_counts[p] - 1, 0, 0
     levels, level, least, floor = 0, measured[d], math.inf, distance
     end[q], level_counts[q], distances[q] = 0, 0, distance
@@ -197,7 +188,7 @@ def _push(
         c = alive[p, k]
         if measured[c] == measured[d] or feature[c] == feature[d]:
             continue
-        if restricted and not is_local(local, slots[d], slots[c]):
+        if restricted and not tree.is_local(local, slots[d], slots[c]):
             continue
         if measured[c] != level:
             if least < math.inf:
@@ -206,14 +197,14 @@ def _push(
                 return tests
             remaining, level = remaining - 1, measured[c]
         tests += 1
-        e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
+        e = tree.condition(covariance, w, pivot, d, p, c, slots[c], tree.read(before, c))
         # eᵀ S⁻¹ e < gate − D²_H without the division: this rejects most candidates
         numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
         determinant = e.xx * e.yy - e.xy * e.xy
         if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
             continue
         total = distance + numerator / determinant
-        store(after, c, e)
+        tree.store(after, c, e)
         totals[q, c], alive[q, count] = total, c
         count, least = count + 1, min(least, total)
     if least < math.inf:

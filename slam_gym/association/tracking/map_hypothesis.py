@@ -8,24 +8,11 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, visibility
+from slam_gym.association.tracking import hypotheses
 from slam_gym.association.tracking.beam import Beam
 from slam_gym.association.tracking.headings import Part
-from slam_gym.association.tracking.hypotheses import (
-    SAME_VIEW,
-    LimitFields,
-    Limits,
-    PosteriorFields,
-    ScanProblem,
-    SearchResult,
-    affordable,
-    levels_of,
-    limits_of,
-    posterior_of,
-    search_tree,
-    weighed,
-    weighed_by_view,
-)
+from slam_gym.association.tracking.hypotheses import LimitFields, Limits, PosteriorFields, ScanProblem, SearchResult
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of, offer
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, Posterior, Scan, ScanArrays
 
@@ -62,7 +49,7 @@ def map_hypothesis(
         raise ValueError(f"detection: {detection} is not between 0 and 1")
     if not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
-    limits = limits_of(scan, prediction, width, margin)
+    limits = hypotheses.limits_of(scan, prediction, width, margin)
     answer, posterior = _decide(scan.arrays, prediction.arrays, (float(detection), float(density)), limits)
     return answer.hypothesis(posterior=Posterior(*posterior))
 
@@ -71,7 +58,7 @@ def map_hypothesis(
 def _decide(
     scan: ScanArrays, prediction: PredictionArrays, rates: tuple[float, float], limit_fields: LimitFields
 ) -> tuple[Decided, PosteriorFields]:
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     (detection, density), limits, m = rates, Limits(*limit_fields), len(scan[0])
     rows, spent = np.full(m, UNPAIRED), Spent(0, 0, 0, False)
     posterior = 0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)
@@ -83,19 +70,20 @@ def _decide(
         tests = spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if search == 0 or len(offered.pairings.slots) > offered.pairings.fixed:
-            levels = levels_of(offered.pairings, offered.starts, limits.gate)
+            levels = hypotheses.levels_of(offered.pairings, offered.starts, limits.gate)
             problem = ScanProblem(
                 part, offered.pairings, offered.starts, levels, offered.rows, offered.tests, visible, detection, density
             )
-            searched = search_tree(problem, np.empty(0), affordable(limits.width, [problem]), limits.margin)
+            width = hypotheses.affordable(limits.width, [problem])
+            searched = hypotheses.search_tree(problem, np.empty(0), width, limits.margin)
             limit_hit = spent.limit_hit or searched.cut or bool((np.diff(offered.starts) >= limits.most).any())
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
             fit = searched.fit + math.log(density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
-            sums = weighed(searched.rows, fit, view_terms, np.zeros(1), len(expected.features))
+            sums = hypotheses.weighed(searched.rows, fit, view_terms, np.zeros(1), len(expected.features))
             fixed = rows != UNPAIRED
             rows[:] = searched.rows[np.argmax(sums.scores)]
-            posterior = _joint_posterior(posterior, posterior_of(expected, sums, rows), fixed)
+            posterior = _joint_posterior(posterior, hypotheses.posterior_of(expected, sums, rows), fixed)
         if not (rows == UNPAIRED).any():
             break
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent), posterior
@@ -118,10 +106,10 @@ def _weighed_by_view(
 ) -> Array:
     """`weighed_by_view` (b, 1). Hypotheses within `closeness` of the best get a view of their own."""
     beam, detections = searched.beam, np.array([problem.detection])
-    view_terms = weighed_by_view(expected, problem, beam, detections, SAME_VIEW)
+    view_terms = hypotheses.weighed_by_view(expected, problem, beam, detections, hypotheses.SAME_VIEW)
     if len(problem.visible) > 0 and len(expected.visible) == 0 and expected.view_moves:
         scores = fit + view_terms[:, 0]
         chosen = np.flatnonzero(scores > scores.max() - closeness)
         best_ones = Beam(beam.score[chosen], beam.pairings[chosen], beam.made[chosen], beam.nodes[chosen], beam.joined)
-        view_terms[chosen] = weighed_by_view(expected, problem, best_ones, detections, 0.0)
+        view_terms[chosen] = hypotheses.weighed_by_view(expected, problem, best_ones, detections, 0.0)
     return view_terms

@@ -30,26 +30,11 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import Candidates, gate_pairings
-from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, visibility
+from slam_gym.association.tracking import hypotheses
 from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
-from slam_gym.association.tracking.hypotheses import (
-    SAME_VIEW,
-    LimitFields,
-    Limits,
-    PosteriorFields,
-    ScanProblem,
-    SearchResult,
-    Weighed,
-    affordable,
-    levels_of,
-    limits_of,
-    posterior_of,
-    scan_area,
-    search_tree,
-    weighed,
-    weighed_by_view,
-)
+from slam_gym.association.tracking.hypotheses import LimitFields, Limits, PosteriorFields, ScanProblem, SearchResult
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
 from slam_gym.association.tracking.network import NO_NETWORK, Network, inputs_of, log_odds
 from slam_gym.association.tree import Pairings
@@ -133,7 +118,7 @@ def weigh(
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
-    limits, prior = limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
+    limits, prior = hypotheses.limits_of(scan, prediction, width, margin), prior_of(prediction.experience)
     return _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
 
 
@@ -183,10 +168,10 @@ def _decide(
 ) -> tuple[Decided, Marginals, PosteriorFields]:
     """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
     feature, and the number of sightings from which a feature is no longer provisional."""
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     prior, limits, network = Prior(*prior_arrays), Limits(*limit_fields), Network(*network_arrays)
     threshold, provisional, confirmations = rule
-    m, area = len(scan[0]), scan_area(scan[0])
+    m, area = len(scan[0]), hypotheses.scan_area(scan[0])
     rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
     headings = headings_of(scan, expected, prior, area, limits, len(network.centre) > 0)
     searches = _promising(headings, scan, expected, prior, limits, prices, network)
@@ -202,7 +187,7 @@ def _decide(
     spent = Spent(spent.nodes, spent.individual_tests, spent.joint_tests, spent.limit_hit or bool(crowded.any()))
     marginals = Marginals(sums.pairings, sums.unpaired, new, sums.by_value, area)
     answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
-    return answer, marginals, posterior_of(expected, sums, rows)
+    return answer, marginals, hypotheses.posterior_of(expected, sums, rows)
 
 
 @compiled
@@ -251,7 +236,7 @@ def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected,
     pairings = Pairings(
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
     )
-    levels = levels_of(pairings, candidates.starts, gate)
+    levels = hypotheses.levels_of(pairings, candidates.starts, gate)
     return ScanProblem(
         part, pairings, candidates.starts, levels, candidates.rows, candidates.tests, visible, heading.detection,
         heading.density,
@@ -286,7 +271,7 @@ def _promising(
         trials.append((problem, odds, margin))
         if len(headings) == 1:
             return trials
-        searched = search_tree(problem, odds, min(_TRIAL_WIDTH, limits.width), margin)
+        searched = hypotheses.search_tree(problem, odds, min(_TRIAL_WIDTH, limits.width), margin)
         score[n] = heading.part.log_weight + searched.beam.score.max()
         behind[n] = -(heading.part.log_weight + _greatest_density(searched, problem, prices))
         best = max(best, score[n])
@@ -316,13 +301,13 @@ def _greatest_density(searched: SearchResult, problem: ScanProblem, prices: Arra
 @compiled
 def search_all(
     searches: list[HeadingSearch], m: int, expected: Expected, prior: Prior, limits: Limits, prices: Array
-) -> tuple[Weighed, Spent]:
+) -> tuple[hypotheses.Weighed, Spent]:
     """The hypotheses of all chosen headings, and the work done."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
     results: list[SearchResult] = []
-    width = affordable(limits.width, [problem for problem, _, _ in searches])
+    width = hypotheses.affordable(limits.width, [problem for problem, _, _ in searches])
     for problem, odds, margin in searches:
-        result = search_tree(problem, odds, width, margin)
+        result = hypotheses.search_tree(problem, odds, width, margin)
         results.append(result)
         nodes, tests, joint_tests = nodes + result.nodes, tests + problem.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)
@@ -330,10 +315,11 @@ def search_all(
     for (problem, _, _), result in zip(searches, results):
         last = b + len(result.fit)
         rows[b:last] = result.rows
-        view_terms[b:last] = weighed_by_view(expected, problem, result.beam, prior.values, SAME_VIEW)
+        beam, values = result.beam, prior.values
+        view_terms[b:last] = hypotheses.weighed_by_view(expected, problem, beam, values, hypotheses.SAME_VIEW)
         fit[b:last] = problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
-    sums = weighed(rows, fit, view_terms, prior.detections, len(expected.features))
+    sums = hypotheses.weighed(rows, fit, view_terms, prior.detections, len(expected.features))
     return sums, Spent(nodes, tests, joint_tests, cut)
 
 
@@ -349,7 +335,7 @@ class Example(NamedTuple):
 
 def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
     """The search of each narrow heading. Raises ValueError as `individual`."""
-    prior, limits = prior_of(prediction.experience), limits_of(scan, prediction, width, margin)
+    prior, limits = prior_of(prediction.experience), hypotheses.limits_of(scan, prediction, width, margin)
     return _examples(scan.arrays, prediction.arrays, prior, limits)
 
 
@@ -357,9 +343,9 @@ def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -
 def _examples(
     scan: ScanArrays, prediction: PredictionArrays, prior_arrays: PriorArrays, limit_fields: LimitFields
 ) -> list[Example]:
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     prior, limits = Prior(*prior_arrays), Limits(*limit_fields)
-    m, area = len(scan[0]), scan_area(scan[0])
+    m, area = len(scan[0]), hypotheses.scan_area(scan[0])
     prices = prices_of(prior, area, m)
     out: list[Example] = []
     for heading in headings_of(scan, expected, prior, area, limits, True):

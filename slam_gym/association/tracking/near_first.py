@@ -14,7 +14,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, gate_pairings
-from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, joint
 from slam_gym.association.tree import Pairings
 from slam_gym.mapping.covisibility import among
 from slam_gym.mapping.linear_algebra import cholesky, whiten
@@ -56,7 +56,7 @@ class Decided(NamedTuple):
 def offer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float, most: int) -> Offer:
     """The pairings open to measurements that `rows` (m,) leaves UNPAIRED: with features that are `near`, or with the
     others, the `most` nearest of each measurement."""
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     points, noise = scan[0], scan[1]
     eligible = expected.near if near else ~expected.near
     if len(expected.counts) == 0:
@@ -118,7 +118,7 @@ def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> f
 @compiled
 def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent: Spent) -> Decided:
     """`decided` with its D²_H, to be called from Python."""
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent)
 
 

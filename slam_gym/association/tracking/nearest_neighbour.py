@@ -4,7 +4,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, gate_pairings
-from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays
 from slam_gym.association.tracking.near_first import Decided, Offer, Spent, decided, joint_distance_of, near_first
 from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Scan, ScanArrays
 
@@ -69,7 +69,7 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual: bool) -> Decided:
     """Pair each measurement with its nearest candidate; if `mutual`, only where each is the other's only candidate."""
-    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    expected = Expected(*prediction)
     m, k, every_row = len(scan[0]), len(expected.features), expected.near[:0]
     rows, features = np.full(m, UNPAIRED), (expected.positions, expected.covariances)
     candidates = gate_pairings(scan[:2], features, np.arange(m), every_row, gate, k)

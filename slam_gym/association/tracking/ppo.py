@@ -18,8 +18,7 @@ import numpy as np
 
 from slam_gym.association.policy import from_policy
 from slam_gym.association.prediction import Associator, Prediction
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS, PATH_FIELDS
-from slam_gym.association.tracking.walk import COMPATIBILITIES
+from slam_gym.association.tracking.walk import CANDIDATE_FIELDS, COMPATIBILITIES, MEASUREMENT_FIELDS, PATH_FIELDS
 from slam_gym.association.walks import ORDERS, Observation
 from slam_gym.types import Array, BoolArray, Hypothesis, Scan
 from slam_gym.weights import cached, load

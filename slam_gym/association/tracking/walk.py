@@ -1,4 +1,8 @@
-"""The interpretation tree as a learner sees it: one walk from the root to a leaf, decision by decision."""
+"""The interpretation tree as a learner sees it: one walk from the root to a leaf, decision by decision.
+
+A policy decides on flat float32 vectors, scaled into [−1, 1]. Values without a bound are squashed: v / (|v| + scale),
+which is 0 at 0 and ±½ at ±scale.
+"""
 
 import functools
 import math
@@ -6,12 +10,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slam_gym.association.compatibility import Candidates, chi2_gate, individual
-from slam_gym.association.prediction import Prediction
-from slam_gym.association.tracking.observation import Choice, encode, nothing
-from slam_gym.association.tree import add_pairing, added_by, decided, hypothesis, interpretation_tree, root
-from slam_gym.association.walks import ORDERS, Observation, Order
-from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
+from slam_gym._jit import compiled
+from slam_gym.association import tree, walks
+from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays
+from slam_gym.association.tree import Innovation, Node, Pairings, add_pairing, interpretation_tree, read, root
+from slam_gym.association.walks import ORDERS, Float32Array, Observation, Order, squash
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan, ScanArrays
 from slam_gym.validation import check_count, one_of
 
 NEW_CONFIDENCE, FEWEST_PAIRED, SHARE_PAIRED = 0.99999, 5, 0.8
@@ -21,6 +26,54 @@ Compatibility = Literal["joint", "individual"]
 """What makes a branch legal: that the path stays jointly compatible and takes no feature twice; or D²_ij alone."""
 
 COMPATIBILITIES: tuple[str, ...] = get_args(Compatibility)
+
+MEASUREMENT_FIELDS = walks.MEASURED_FIELDS
+"""`measurement`: the one to decide now."""
+
+CANDIDATE_FIELDS = (
+    "legal",  # 1 where there is a candidate; where there is none, the row is 0
+    "x", "y",  # where the map expected it, in R
+    "innovation_x", "innovation_y",  # ν_ij
+    "individual",  # D²_ij, by its gate
+    "joint",  # D²_H if taken, by its gate
+    "size",  # (a_i − a_j)² / (σ_i² + σ_j²), by 1; −1 where a size is unknown
+    "covisible",  # fraction of the features paired so far that it is local to; without locality all are, to all
+    "near",  # 1 where it was paired in a recent scan or is local to one that was, or where there is no locality
+    "age",  # steps since it was first seen
+    "sightings",  # scans that updated or started it; 0 if the prediction is not made from a map
+    "confirmed",  # 1 where it has as many sightings as confirm a feature
+    "rivals",  # later measurements that it could be paired with instead
+    "spread",  # √det S_ij, given the path
+    "evidence",  # log N(e; 0, S) given the path, over the density of measurements of nothing in the map
+    "outlook",  # what taking it adds to the evidence of the levels left, each by its best pairing
+    "odds",  # evidence and outlook together
+    "margin",  # by which they exceed the best odds among the others on offer, `*` (0) included
+)  # fmt: skip
+"""`candidates`: K rows of these, by ascending D²_ij. All innovations of a scan share the error of the predicted pose,
+most of all that of its heading: `outlook` tells whether the other measurements fall into place once a pairing has
+corrected it."""
+
+PATH_FIELDS = (
+    "decided",  # fraction of the measurements
+    "left",  # later levels with a candidate
+    "pairings",  # so far
+    "paired",  # fraction of the decided measurements
+    "distance",  # D²_H, by its gate
+    "compatible",  # individually compatible features of the measurement
+    "hidden",  # legal candidates that are not on offer
+    "heading",  # σ of the predicted heading
+)
+"""`path`: the decisions so far, and what is ahead."""
+
+INNOVATION_SCALE = 0.3  # [m]
+AGE_SCALE = 50.0  # [steps]
+SPREAD_SCALE, HEADING_SCALE = 0.05, 0.05  # [m²], [rad]
+ODDS_SCALE = 5.0
+COUNT_SCALE, FEW_SCALE = 10.0, 3.0
+CLUTTER_DENSITY = 0.02  # [1/m²] of measurements of nothing in the map, for `evidence`
+
+_SEEN = -1  # in place of a level
+_squash = compiled(squash)
 
 
 class Walk:
@@ -50,7 +103,7 @@ class Walk:
     ) -> None:
         check_arguments(candidates, order, compatibility)
         self.K, self.joint = candidates, compatibility == "joint"
-        self.candidates = _in_order(scan, prediction, order)
+        self.candidates = individual(scan, prediction, measurements=_in_order(scan, prediction, order))
         self.tree = interpretation_tree(scan, prediction, self.candidates)
         self.node = root(self.tree)  # the pairings so far, and what may follow them
         self.level = 0  # the level that decides next
@@ -93,7 +146,7 @@ class Walk:
     @property
     def decided(self) -> IntArray:
         """(m,) row of the prediction paired with each measurement; UNPAIRED for `*` and for what is undecided."""
-        return decided(self.tree, self.node)
+        return tree.decided(self.tree, self.node)
 
     def action_of(self, feature: int) -> int | None:
         """The action that pairs the current measurement with `feature` of the map (UNPAIRED: `*`); None if there is no
@@ -104,18 +157,32 @@ class Walk:
         return int(found[0]) if len(found) else None
 
     def observation(self) -> Observation:
-        """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
+        """What a policy decides on: vectors of `MEASUREMENT_FIELDS`, `CANDIDATE_FIELDS` and `PATH_FIELDS`. Fresh
+        arrays; 0 at a leaf."""
         if self.done:
             return nothing(self.K)
-        first, later = self.tree.level(self.level)
-        choice = Choice(self.level, self.tree.levels, self.K, self.offered, self.hidden, later - first, later)
-        return encode(self.tree, self.node, self._local, choice)
+        scan, prediction, candidates, rows, pairings, gates = self.tree
+        (first, later), p, distance = self.tree.level(self.level), self.pairings, self.node.distance
+        mapped = prediction.arrays, rows, prediction.confirmations, self._local
+        on_offer, individual = (self.offered, later, self.K), candidates.distances
+        shown, left = _encode(pairings, self.node, individual, gates, scan.arrays, mapped, on_offer)
+        path = (
+            self.level / self.tree.levels,
+            squash(left, COUNT_SCALE),
+            squash(p, COUNT_SCALE),
+            p / max(self.level, 1),
+            distance / (distance + float(gates[p])) if p > 0 else 0.0,
+            squash(later - first, FEW_SCALE),
+            squash(self.hidden, FEW_SCALE),
+            squash(math.sqrt(max(prediction.heading_variance, 0.0)), HEADING_SCALE),
+        )
+        measurement = np.array(walks.measurement_shown(scan, self.measurement), np.float32)
+        return {"measurement": measurement, "candidates": shown, "path": np.array(path, np.float32)}
 
     @functools.cached_property
     def _local(self) -> BoolArray:
-        """(u, u) which of the features that the tree may pair are local to each other; (0, 0): all are to all."""
-        prediction = self.tree.prediction
-        return prediction.local(self.tree.rows) if prediction.has_localities else self.tree.pairings.local
+        """(u, u) which of the features that the tree may pair are local to each other."""
+        return self.tree.prediction.local(self.tree.rows)
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
@@ -140,7 +207,7 @@ class Walk:
         effort = Effort(self.level, self.candidates.tests, self._tests)
         relied_on = self.joint and self.done and self.pairings >= max(FEWEST_PAIRED, SHARE_PAIRED * self.tree.levels)
         new = self._new() if relied_on else None
-        return hypothesis(self.tree, self.node, effort, exclusive=self.joint, new=new)
+        return tree.hypothesis(self.tree, self.node, effort, exclusive=self.joint, new=new)
 
     def _new(self) -> BoolArray:
         """(m,) which measurements are unpaired and compatible with nothing, given the path."""
@@ -149,25 +216,25 @@ class Walk:
         if not new.any():
             return new
         near = individual(scan, prediction, NEW_CONFIDENCE)
-        tree = interpretation_tree(scan, prediction, near)
-        node = root(tree)
+        pairings = interpretation_tree(scan, prediction, near).pairings
+        node = tree.root_of(pairings)
         for c in np.flatnonzero(decided[near.measured] == near.rows[near.slots]):
-            node = add_pairing(tree.pairings, node, int(c), 0)
+            node = add_pairing(pairings, node, int(c), 0)
         new[near.measured[node.added < chi2_gate(2, NEW_CONFIDENCE)]] = False
         return new
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""
-        starts, node, tree = self.candidates.starts.tolist(), self.node, self.tree
+        starts, node, levels = self.candidates.starts.tolist(), self.node, self.tree.levels
         self.offered, self.hidden = np.empty(0, np.int64), 0  # pairings, and the number of legal ones beyond K
-        while self.level < tree.levels:
+        while self.level < levels:
             first, last = starts[self.level], starts[self.level + 1]
             self._tests += last - first
             if first < last:
                 added, gate = node.added[first:last], math.inf
                 if self.joint:
-                    added = added_by(tree.pairings, node.path, node.added, first, last)
-                    gate = float(tree.gates[self.pairings + 1])
+                    added = tree.added_by(self.tree.pairings, node.path, node.added, first, last)
+                    gate = float(self.tree.gates[self.pairings + 1])
                 legal = first + np.flatnonzero(added < gate - node.distance)
                 if len(legal):
                     self.offered, self.hidden = legal[: self.K], max(len(legal) - self.K, 0)
@@ -184,12 +251,106 @@ def check_arguments(candidates: int, order: str, compatibility: str) -> None:
     one_of("compatibility", compatibility, COMPATIBILITIES)
 
 
-def _in_order(scan: Scan, prediction: Prediction, order: str) -> Candidates:
-    if order == "as_scanned" or not len(scan):
-        return individual(scan, prediction)
-    if order == "nearest_first":
-        key = np.hypot(scan.points[:, 0], scan.points[:, 1])
-    else:
+def _in_order(scan: Scan, prediction: Prediction, order: str) -> IntArray:
+    def candidates() -> IntArray:
         counts = np.diff(individual(scan, prediction).starts)
-        key = np.where(counts > 0, counts, len(prediction) + 1).astype(np.float64)
-    return individual(scan, prediction, measurements=np.argsort(key, kind="stable"))
+        return np.where(counts > 0, counts, len(prediction) + 1)
+
+    return walks.in_order(scan, order, candidates)
+
+
+def nothing(candidates: int) -> Observation:
+    """The observation where there is nothing to decide, with K = `candidates`: zeros."""
+    rows = {"measurement": MEASUREMENT_FIELDS, "candidates": candidates * CANDIDATE_FIELDS, "path": PATH_FIELDS}
+    return {name: np.zeros(len(fields), np.float32) for name, fields in rows.items()}
+
+
+@compiled
+def _encode(
+    pairings: Pairings,
+    node: Node,
+    individual: Array,
+    gates: Array,
+    scan: ScanArrays,
+    mapped: tuple[PredictionArrays, IntArray, int, BoolArray],
+    on_offer: tuple[IntArray, int, int],
+) -> tuple[Float32Array, int]:
+    """K rows of `CANDIDATE_FIELDS`, flat; and the number of later levels with a candidate.
+
+    `individual` (c,) are D²_ij of all pairings. `mapped`: the prediction, its row for each slot (u,), the sightings
+    that confirm a feature, and which features are local to each other, by slot. `on_offer`: the pairings (k,), k ≤ K,
+    where the pairings of later levels begin, and K.
+    """
+    (prediction, rows, confirmations, local), (offered, later, K), p = mapped, on_offer, len(node.path)
+    rivals, evidence, outlook, left = _outlook(pairings, node, offered, later)
+    expected, odds = Expected(*prediction), evidence + outlook
+    candidates, sizes, variances = np.zeros((K, len(CANDIDATE_FIELDS)), np.float32), scan[2], scan[3]
+    for k in range(len(offered)):
+        c, row = offered[k], candidates[k]
+        i, slot, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
+        j = rows[slot]
+        row[0] = 1.0
+        row[1] = _squash(expected.positions[j, 0], walks.POSITION_SCALE)
+        row[2] = _squash(expected.positions[j, 1], walks.POSITION_SCALE)
+        row[3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
+        row[4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
+        row[5], row[6] = individual[c] / (individual[c] + gates[1]), joint / (joint + gates[p + 1])
+        difference = sizes[i] - expected.sizes[j]
+        row[7] = _squash(difference * difference / (variances[i] + expected.size_variances[j]), 1.0)
+        if math.isnan(row[7]):
+            row[7] = -1.0
+        covisible = 0
+        for d in node.path:
+            covisible += tree.is_local(local, slot, pairings.slots[d])
+        row[8] = covisible / max(p, 1)
+        row[9], row[10] = 1.0 if expected.near[j] else 0.0, _squash(float(expected.ages[j]), AGE_SCALE)
+        row[11] = _squash(float(expected.sightings[j]), COUNT_SCALE)
+        row[12] = 1.0 if expected.sightings[j] >= confirmations else 0.0
+        row[13], e, best = _squash(float(rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
+        for other in range(len(odds)):
+            if other != k:
+                best = max(best, odds[other])
+        row[14] = _squash(math.sqrt(max(e.xx * e.yy - e.xy * e.xy, 0.0)), SPREAD_SCALE)
+        row[15], row[16] = _squash(evidence[k], ODDS_SCALE), _squash(outlook[k], ODDS_SCALE)
+        row[17], row[18] = _squash(odds[k], ODDS_SCALE), _squash(odds[k] - best, ODDS_SCALE)
+    return candidates.ravel(), left
+
+
+@compiled
+def _outlook(pairings: Pairings, node: Node, offered: IntArray, later: int) -> tuple[IntArray, Array, Array, int]:
+    """Of each pairing on offer: later pairings with the same feature, evidence and outlook, (k,) each; and the number
+    of later levels with a candidate.
+
+    Each pairing on offer conditions those of later levels; a feature that is taken adds nothing to them.
+    """
+    slots, measured, p, count = pairings.slots, pairings.measured, len(node.path), len(pairings.slots)
+    free, without, best, left, level = np.empty(count, np.bool_), 0.0, 0.0, 0, _SEEN
+    for c in range(later, count):
+        if measured[c] != level:
+            left, level, without, best = left + 1, measured[c], without + best, 0.0
+        free[c] = tree.may_follow(pairings, node.path, p, c)
+        if free[c]:
+            best = max(best, _evidence(read(node.innovations, c)))
+    without += best
+    rivals, evidence, outlook = np.zeros(len(offered), np.int64), np.empty(len(offered)), np.empty(len(offered))
+    for k in range(len(offered)):
+        a, e = offered[k], read(node.innovations, offered[k])
+        pivot, total, best, level = tree.pivot_of(slots[a], e), 0.0, 0.0, _SEEN
+        for c in range(later, count):
+            rivals[k] += slots[c] == slots[a]
+            if measured[c] != level:
+                level, total, best = measured[c], total + best, 0.0
+            if free[c] and slots[c] != slots[a]:
+                given = tree.condition(pairings.covariance, node.w, pivot, a, p, c, slots[c], read(node.innovations, c))
+                best = max(best, _evidence(given))
+        evidence[k], outlook[k] = _evidence(e), total + best - without
+    return rivals, evidence, outlook, left
+
+
+@compiled
+def _evidence(e: Innovation) -> float:
+    """log N(e; 0, S) − log λ, λ the density of measurements of nothing in the map; −inf where S is not positive."""
+    determinant = e.xx * e.yy - e.xy * e.xy
+    if not determinant > 0.0:
+        return -math.inf
+    return -0.5 * tree.squared(e) - 0.5 * math.log(determinant) - math.log(2.0 * math.pi * CLUTTER_DENSITY)

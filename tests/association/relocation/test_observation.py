@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.relocation.observation import observe_walk, walk_shapes
-from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec, observe_walk, walk_shapes
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 from tests.oracles import relocation_walks as walks

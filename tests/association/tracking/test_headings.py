@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.association.prediction import Prediction, expected_of, predict
+from slam_gym.association.prediction import Expected, Prediction, predict
 from slam_gym.association.tracking.headings import NARROW, joint_in, parts_of
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Odometry, Scan
@@ -21,7 +21,7 @@ def predicted(turn_sigma, second_order=False):
 
 def headings(prediction):
     """The expected features, and the parts of their mixture."""
-    expected = expected_of(*prediction.arrays)
+    expected = Expected(*prediction.arrays)
     return expected, list(parts_of(expected))
 
 

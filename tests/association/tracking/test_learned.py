@@ -28,8 +28,8 @@ def problem(seed):
 
 
 def with_sizes(prediction, sizes, variance):
-    counted, _, *rest = prediction.rows
-    return dataclasses.replace(prediction, rows=(counted, np.stack([sizes, np.full(len(sizes), variance)]), *rest))
+    known = prediction.expected._replace(sizes=sizes, size_variances=np.full(len(sizes), variance))
+    return dataclasses.replace(prediction, expected=known)
 
 
 def test_it_goes_by_its_name_wherever_associators_do():
@@ -46,7 +46,7 @@ def test_sizes_tell_apart_what_places_do_not():
     """Two features, each as near as the other: `marginal` refuses, and so does the learned one without sizes."""
     at = [[1.0, 0.2], [1.0, -0.2], [2.0, 1.5], [3.0, -1.0], [2.5, 0.5]]
     prediction = Prediction.from_gaussian(at, 0.02 * np.eye(10), sizes=[0.2, 0.9, 0.5, 0.4, 0.3], size_sigma=0.02)
-    prediction.rows[0][2], prediction.rows[0][3] = 30, 12  # ages and sightings
+    prediction.expected.ages[:], prediction.expected.sightings[:] = 30, 12
     prediction = prediction.with_visibility(np.full(5, 0.9))
     seen = [[1.0, 0.0], [2.0, 1.5], [3.0, -1.0], [2.5, 0.5]]
     scan = Scan.from_points(seen, sigma=0.03, sizes=[0.21, 0.5, 0.4, 0.3], size_sigma=0.05)

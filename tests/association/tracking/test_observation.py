@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, CLUTTER_DENSITY, PATH_FIELDS, lengths, nothing
+from slam_gym.association.tracking.walk import CANDIDATE_FIELDS, CLUTTER_DENSITY, PATH_FIELDS, nothing
 from tests.association.tracking.test_walk import CONFIDENCE, problems, walked
 from tests.oracles import association as oracles
 from tests.oracles.densities import fit
@@ -16,13 +16,14 @@ def test_observations_are_finite_scaled_fresh_and_as_long_as_said(locality):
     rng = np.random.default_rng(1)
     for scan, prediction in problems(30, locality=locality):
         k = len(prediction)
-        prediction.rows[1][:] = rng.uniform(0.1, 1.0, k), np.full(k, 0.01)  # sizes
-        prediction.rows[0][2] = np.arange(k)  # ages
+        prediction.expected.sizes[:], prediction.expected.size_variances[:] = rng.uniform(0.1, 1.0, k), 0.01
+        prediction.expected.ages[:] = np.arange(k)
         sizes = np.where(rng.random(len(scan)) < 0.5, np.nan, 0.3)
         scan = replace(scan, sizes=sizes, size_variances=np.full(len(scan), 0.01))
+        lengths = {name: len(vector) for name, vector in nothing(4).items()}
         for walk, _ in walked(scan, prediction, rng, candidates=4):
             seen, again = walk.observation(), walk.observation()
-            assert {name: len(vector) for name, vector in seen.items()} == lengths(4)
+            assert {name: len(vector) for name, vector in seen.items()} == lengths
             for name, vector in seen.items():
                 assert vector.dtype == np.float32
                 assert np.abs(vector).max() <= 1.0
@@ -34,7 +35,7 @@ def test_observations_are_finite_scaled_fresh_and_as_long_as_said(locality):
 def test_candidates_show_what_they_say():
     rng, checked = np.random.default_rng(2), 0
     for scan, prediction in problems(40, locality=True):
-        prediction.rows[0][2] = rng.integers(0, 300, len(prediction))  # ages
+        prediction.expected.ages[:] = rng.integers(0, 300, len(prediction))
         compatible = oracles.compatible(scan, prediction, CONFIDENCE)
         related = prediction.local(np.arange(len(prediction)))
         for walk, pairs in walked(scan, prediction, rng, candidates=9):
@@ -89,6 +90,5 @@ def _outlook(scan, prediction, compatible, pairs, left):
 
 
 def test_nothing_is_an_observation_of_zeros():
-    assert {name: vector.tolist() for name, vector in nothing(2).items()} == {
-        name: [0.0] * length for name, length in lengths(2).items()
-    }
+    zeros = {"measurement": [0.0] * 6, "candidates": [0.0] * 2 * len(CANDIDATE_FIELDS), "path": [0.0] * 8}
+    assert {name: vector.tolist() for name, vector in nothing(2).items()} == zeros
