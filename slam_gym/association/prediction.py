@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._jit import compiled
+from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import Counts, CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
 from slam_gym.mapping.measurement import foresee, joint_covariance, rows_for
@@ -316,11 +317,11 @@ def predict(
     if odometry is not None:
         m.moved()
     (counted, sized, near, positions, covariances, across), (x, P, _, _) = rows, m.arrays
-    (features, kinds, ages, sightings), (sizes, variances) = counted[:, :k], sized[:, :k]
     view = _NO_SENSOR if sight is None else sight.arrays
     expected = Expected(
-        features, kinds, ages, sightings, sizes, variances, near[:k], positions[:k], covariances[:k], across[:k],
-        pose, x, P, counts, view, _NOTHING, m.n, spec.second_order, view_moves,
+        counted[0, :k], counted[1, :k], counted[2, :k], counted[3, :k], sized[ekf.SIZES, :k], sized[ekf.VARIANCES, :k],
+        near[:k], positions[:k], covariances[:k], across[:k], pose, x, P, counts, view, _NOTHING, m.n,
+        spec.second_order, view_moves,
     )  # fmt: skip
     return Prediction(expected, spec.confidence, spec.confirmations, experience, m.estimate)
 

@@ -29,6 +29,7 @@ from slam_gym.association.prediction import Expected, Prediction, visibility
 from slam_gym.association.tracking.beam import Beam, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
+from slam_gym.association.tracking.near_first import Offer
 from slam_gym.association.tree import Node, Pairings, condition, is_local, pivot_of, read, root_of, squared
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from slam_gym.validation import check_count
@@ -55,11 +56,8 @@ class ScanProblem(NamedTuple):
     """The problem of a search: the pairings of a scan with the features in reach, in one heading."""
 
     part: Part
-    pairings: Pairings
-    starts: IntArray  # (l + 1,) index of each measurement's first pairing, not counting fixed ones
+    offer: Offer
     levels: IntArray  # (l, 2) first and end index of the pairings of each measurement with any, in order of decision
-    rows: IntArray  # (u,) row of the prediction of each slot
-    tests: int  # pairings tested for individual compatibility
     visible: Array  # (k,) probability of being in view from the predicted pose; (0,): unknown
     detection: float  # P_D
     density: float  # [1/m²] λ of measurements of nothing in the map
@@ -110,9 +108,10 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
     """The width of the beam: `width`, or what `JOINT_TESTS` and `MEMORY` allow if all these problems are searched."""
     tests, size = 1, 1
     for problem in problems:
-        nodes = len(problem.levels) + problem.pairings.fixed + 1
-        place = min(nodes, len(problem.rows) + problem.pairings.fixed + 1)
-        tests, size = tests + len(problem.pairings.slots), size + 32 * place * nodes  # bytes of the w of a hypothesis
+        offer = problem.offer
+        nodes = len(problem.levels) + offer.pairings.fixed + 1
+        place = min(nodes, len(offer.rows) + offer.pairings.fixed + 1)
+        tests, size = tests + len(offer.pairings.slots), size + 32 * place * nodes  # bytes of the w of a hypothesis
     return max(min(width, JOINT_TESTS // tests, MEMORY // size), 1)
 
 
@@ -123,8 +122,7 @@ def search_tree(problem: ScanProblem, odds: Array, width: int, margin: float) ->
 
     Measurements without a candidate are `*` in all hypotheses. `width` and `margin` as in `Limits`.
     """
-    pairings, starts, detection = problem.pairings, problem.starts, problem.detection
-    rows, visible = problem.rows, problem.visible
+    (pairings, starts, rows, _), detection, visible = problem.offer, problem.detection, problem.visible
     gains = np.full(len(pairings.slots), math.log(detection))
     for c in range(len(gains) if len(visible) > 0 else 0):
         v = visible[rows[pairings.slots[c]]]
@@ -188,7 +186,7 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     Hypotheses share a view where they place every feature within `together` [m] of each other. All share one where the
     features are predicted that precisely, or where visibility does not depend on the pose.
     """
-    part, rows, visible = problem.part, problem.rows, problem.visible
+    part, rows, visible = problem.part, problem.offer.rows, problem.visible
     group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
     if len(visible) == 0:
         return group, np.empty((0, 0)), rows
@@ -199,7 +197,7 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     possible = visible > _INVISIBLE
     possible[rows] = False
     both = np.concatenate((rows, np.flatnonzero(possible)))
-    joint, slots = joint_in(expected, part, both), problem.pairings.slots
+    joint, slots = joint_in(expected, part, both), problem.offer.pairings.slots
     positions, covariances = updated(joint, slots, beam, part.positions[both])
     leaders = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(leaders) * len(both)
@@ -213,7 +211,7 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
 
     Hypotheses that place every feature within `together` [m] of each other share a view.
     """
-    slots, pairings, made = problem.pairings.slots, beam.pairings, beam.made
+    slots, pairings, made = problem.offer.pairings.slots, beam.pairings, beam.made
     group, visible, columns = _views(expected, problem, beam, together)
     out, (groups, features) = np.empty((len(made), len(detections))), visible.shape
     missed, paired = np.empty(features), np.empty((groups, len(columns)))

@@ -71,9 +71,7 @@ def _decide(
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if search == 0 or len(offered.pairings.slots) > offered.pairings.fixed:
             levels = hypotheses.levels_of(offered.pairings, offered.starts, limits.gate)
-            problem = ScanProblem(
-                part, offered.pairings, offered.starts, levels, offered.rows, offered.tests, visible, detection, density
-            )
+            problem = ScanProblem(part, offered, levels, visible, detection, density)
             width = hypotheses.affordable(limits.width, [problem])
             searched = hypotheses.search_tree(problem, np.empty(0), width, limits.margin)
             limit_hit = spent.limit_hit or searched.cut or bool((np.diff(offered.starts) >= limits.most).any())

@@ -35,7 +35,7 @@ from slam_gym.association.tracking import hypotheses
 from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
 from slam_gym.association.tracking.hypotheses import LimitFields, Limits, PosteriorFields, ScanProblem, SearchResult
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
+from slam_gym.association.tracking.near_first import Decided, Offer, Spent, decided, joint_distance_of
 from slam_gym.association.tracking.network import NO_NETWORK, Network, inputs_of, log_odds
 from slam_gym.association.tree import Pairings
 from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, IntArray, Posterior, Scan, ScanArrays
@@ -237,10 +237,8 @@ def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected,
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
     )
     levels = hypotheses.levels_of(pairings, candidates.starts, gate)
-    return ScanProblem(
-        part, pairings, candidates.starts, levels, candidates.rows, candidates.tests, visible, heading.detection,
-        heading.density,
-    )  # fmt: skip
+    offer = Offer(pairings, candidates.starts, candidates.rows, candidates.tests)
+    return ScanProblem(part, offer, levels, visible, heading.detection, heading.density)
 
 
 @compiled
@@ -289,7 +287,7 @@ def _promising(
 @compiled
 def _greatest_density(searched: SearchResult, problem: ScanProblem, prices: Array) -> float:
     """The greatest log density found by a search, with a single P_D and visibility from the predicted pose."""
-    missed, greatest, unmatched = 0.0, -math.inf, len(problem.starts) - 1 - len(problem.levels)
+    missed, greatest, unmatched = 0.0, -math.inf, len(problem.offer.starts) - 1 - len(problem.levels)
     for v in problem.visible:
         missed += math.log1p(-problem.detection * v)
     for b in range(len(searched.fit)):
@@ -309,7 +307,7 @@ def search_all(
     for problem, odds, margin in searches:
         result = hypotheses.search_tree(problem, odds, width, margin)
         results.append(result)
-        nodes, tests, joint_tests = nodes + result.nodes, tests + problem.tests, joint_tests + result.tests
+        nodes, tests, joint_tests = nodes + result.nodes, tests + problem.offer.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)
     rows, fit, view_terms, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(prior.values))), 0
     for (problem, _, _), result in zip(searches, results):

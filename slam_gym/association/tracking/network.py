@@ -150,7 +150,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
 
     `run`: log density of measurements of nothing in the map [1/m²], and whether there were scans before.
     """
-    part, pairings, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
+    part, pairings, rows, visible = problem.part, problem.offer.pairings, problem.offer.rows, problem.visible
     points, count, m = scan[0], len(pairings.slots), len(scan[0])
     out, weight = np.empty((count, 26)), np.empty(count)
     by_measurement, by_feature = np.zeros((m, 2)), np.zeros((len(rows), 2))  # number of pairings, sum of weights
