@@ -81,8 +81,13 @@ class Episodes:
     ] = None
     seed: Annotated[int, Option(min=0, metavar="K", help="First episode; episode k is world k with seed k.")] = 0
 
-    def range(self, default: int) -> range:
-        return range(self.seed, self.seed + (self.episodes or default))
+    def range(self, default: int, split: str = "test") -> range:
+        """The numbers, by default `default` of them. Raises ValueError beyond the worlds of `split`."""
+        from slam_gym.scenarios import world_seed
+
+        numbers = range(self.seed, self.seed + (self.episodes or default))
+        world_seed(split, numbers[-1])
+        return numbers
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def main(
     import minari
     from minari.data_collector import EpisodeBuffer
 
-    worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES)
+    worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES, split)
     name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
     envs = [each.make() for each in worlds]
     for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
