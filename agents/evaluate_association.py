@@ -66,7 +66,7 @@ def main(
         from agents.evaluation.episodes import Driver, associator_evaluation
 
         loops, searches = loop.loops(LOOPS, split), _searches(relocation or ["none", None])
-        evaluation = associator_evaluation(names, loops, loop.driver, loop.range(EPISODES), searches, out)
+        evaluation = associator_evaluation(names, loops, loop.driver, loop.range(EPISODES, split), searches, out)
         if film:
             from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 

@@ -149,8 +149,8 @@ def keep_nodes(counts: Counts, n: int, kept: IntArray) -> None:
 
 @compiled
 def mark_local(counts: Counts, n: int, features: IntArray) -> BoolArray:
-    """(n,) whether each feature is one of `features` (j,), or UNPAIRED, or a neighbour of one; without counts, (0, 0),
-    all n are local."""
+    """(n,) whether each feature is one of `features` (j,) or a neighbour of one; UNPAIRED among them is skipped, and
+    without counts, (0, 0), all n are local."""
     local = np.full(n, len(counts) == 0)
     for f in features:
         if f >= 0 and len(counts) > 0:

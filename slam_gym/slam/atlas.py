@@ -31,7 +31,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam_gym.association.acceptance import are_accidental
-from slam_gym.association.prediction import Expected, Prediction, SlamStep
+from slam_gym.association.prediction import Prediction, SlamStep
 from slam_gym.association.tracking.near_first import joint_distance_of
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -179,5 +179,5 @@ def accepted(
     features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
     offered = np.isin(features, prediction.features)
     rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
-    distance = joint_distance_of(scan.arrays, Expected(*prediction.arrays), rows)
+    distance = joint_distance_of(scan.arrays, prediction.expected, rows)
     return replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)

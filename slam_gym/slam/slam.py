@@ -343,8 +343,7 @@ class Slam:
 
 
 def _farthest(points: Array, covariances: Array, sigmas: float = 3.0) -> float:
-    """[m] The greatest ‖z‖ + 3σ of measurements (m,), at least 0, or with other `sigmas` than 3; σ² is the trace of the
-    covariance."""
+    """[m] The greatest ‖z‖ + `sigmas` · σ of measurements (m,), at least 0; σ² is the trace of the covariance."""
     with np.errstate(invalid="ignore", over="ignore"):  # of a scan that will be refused
         sigma = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
         distances: Array = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) + sigmas * sigma

@@ -36,6 +36,7 @@ def test_without_options_the_arguments_are_the_defaults():
     assert parsed("--seed", 3, "--episodes", 2, group=Episodes)[0].range(7) == range(3, 5)
     with pytest.raises(ValueError, match="world 10001 of split 'test'"):
         parsed("--seed", 9_995, group=Episodes)[0].range(7)
+    assert parsed("--seed", 9_995, group=Episodes)[0].range(7, "train") == range(9_995, 10_002)
 
 
 def test_options_change_the_arguments():
