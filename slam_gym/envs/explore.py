@@ -104,8 +104,8 @@ class ExploreEnv(BaseEnv):
     Those of `slam_gym.envs.base.Settings`, and:
 
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`; None: that
-      of the scenario, which is `"jcbb"` where drift is small and `"learned"` where it is large.
-    - `locality`: `"covisibility"` restricts associations to localities, None does not.
+      of the scenario, `"learned"` in `building` and where drift is large, otherwise `"jcbb"`.
+    - `locality`: `"covisibility"`: JCBB and others search among near features first; None: at once among all.
     - `relocation`: the search that relocates a lost robot, by name (`slam_gym.association.RELOCATORS`),
       `"module:function"` or a callable; None: a lost robot is not relocated. `relocation_locality`: `"covisibility"`,
       `"two-hop covisibility"`, `"distance"` or None. `atlas`: with relocation, loops are closed as well, and a robot

@@ -10,8 +10,8 @@ from an unmapped neighbour half a metre away: a door has two jambs, and 20 m awa
 rejected until there are so many that chance hardly explains them all (`association.acceptance`).
 
 **Associators that weigh all hypotheses,** such as `marginal`, refuse ambiguous pairings themselves, and say which
-measurements are new. They are exempt from both rules where the errors are those of the model
-(`SlamSpec.trust_marginals`). On real logs they are not: their probabilities are those of a model that does not hold.
+measurements are new. So they are offered the ambiguous features, too (`SlamSpec.trust_marginals`). On real logs they
+are not, and the step says what is new: their probabilities are those of a model that does not hold.
 
 **Second map.** A robot that was lost for some scans goes on in a new map. It starts there at its pose by odometry, so
 that coordinates remain roughly those of B; in the new map, this pose is known exactly. The recent part of this map is
@@ -164,20 +164,18 @@ def accepted(
 ) -> Hypothesis:
     """The hypothesis without pairings with old features that may all be accidental (see `are_accidental`).
 
-    Of an associator that weighs all hypotheses and is not exempt, only the pairings count, and new features start by
+    Of an associator that weighs all hypotheses and is not trusted, only the pairings count, and new features start by
     the rule of the step. The settings are those of `SlamSpec`.
     """
-    weighs_all = hypothesis.experience is not None
-    if weighs_all and trust_marginals:
-        return hypothesis
-    pairings = replace(hypothesis, new=None) if weighs_all else hypothesis
+    if hypothesis.experience is not None and not trust_marginals:
+        hypothesis = replace(hypothesis, new=None)
     if max_chance_probability >= 1.0:
-        return pairings
+        return hypothesis
     rejected = are_accidental(scan, prediction, hypothesis.features, max_chance_probability)
     if not rejected.any():
-        return pairings
+        return hypothesis
     features, dof = np.where(rejected, UNPAIRED, hypothesis.features), hypothesis.dof - 2 * int(rejected.sum())
     offered = np.isin(features, prediction.features)
     rows = np.where(offered, np.searchsorted(prediction.features, features), UNPAIRED)
     distance = joint_distance_of(scan.arrays, prediction.expected, rows)
-    return replace(hypothesis, features=features, joint_distance=distance, dof=dof, new=None)
+    return replace(hypothesis, features=features, joint_distance=distance, dof=dof)

@@ -49,8 +49,8 @@ class SlamSpec(Checked):
     max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     max_chance_probability: float = 1.0  # expected number of accidental hypotheses with as many pairings, above which
     # all pairings with old features are rejected; 1: never
-    trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from these two rules, and say which
-    # measurements are new; both rules need an atlas
+    trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from `max_accidental_matches`, and
+    # say which measurements are new; both rules need an atlas
     negative_evidence: bool = False  # where the view is known, remove features that should be in view and are not
     # measured (`slam_gym.slam.negative_evidence`); needs `relocate`, which notices that the pose is wrong
 

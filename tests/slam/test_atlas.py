@@ -158,7 +158,8 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
     assert max(kept) > 5
 
 
-def test_a_pairing_that_is_rejected_updates_and_starts_nothing() -> None:
+@pytest.mark.parametrize("associator, rule", [("jcbb", StartRule.FITS_NOTHING), ("marginal", StartRule.ASSOCIATOR)])
+def test_a_pairing_that_is_rejected_updates_and_starts_nothing(associator: str, rule: StartRule) -> None:
     """Landmarks stand in pairs, so that one old feature is no proof."""
     rng = np.random.default_rng(3)
     landmarks = ring_of_landmarks(rng)
@@ -166,11 +167,11 @@ def test_a_pairing_that_is_rejected_updates_and_starts_nothing() -> None:
     specs = [replace(SPEC, max_accidental_matches=1e9, max_chance_probability=most) for most in (1.0, 0.05)]
     believing, waiting = (Slam(spec, VIEW, relocate=nobody, atlas=AtlasSpec()) for spec in specs)
     for odometry, scan, _ in log.steps:
-        paired, held = (slam.step(odometry, scan) for slam in (believing, waiting))
+        paired, held = (slam.step(odometry, scan, associator) for slam in (believing, waiting))
         if (paired.ids != held.ids).any():
             break
     rejected = (held.ids == NO_ID) & (paired.ids != NO_ID)
-    assert rejected.any() and not held.created[rejected].any() and held.rule is StartRule.FITS_NOTHING
+    assert rejected.any() and not held.created[rejected].any() and held.rule is rule
     assert held.hypothesis.dof == 2 * held.hypothesis.pairings
     assert 0.0 < held.hypothesis.joint_distance < paired.hypothesis.joint_distance
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
