@@ -45,11 +45,14 @@ class Tracker:
     """Counts the consecutive scans that do not show what the map predicts.
 
     A feature should be in view if it is established, and either its visibility is at least one half, or the last scan
-    that measured anything and was believed paired it, and nothing says that it has gone out of view since. A scan is
-    doubted where
+    that measured anything and was believed paired it, and nothing says that it has gone out of view since. Unless the
+    robot is lost, the feature must also be near (`Prediction.near`): since the robot saw the others it has drifted, and
+    a wall may hide them that is not where the map has it. `slam.negative_evidence` judges whether those are missing.
+    A scan is doubted where
 
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
-    - right after a scan that was believed, hardly any measurement is paired.
+    - right after a scan that was believed, hardly any measurement is paired. Where the view is known, pairings with
+      features that are not established yet count here, too: behind a door, nearly everything is new.
 
     Where the prediction tells what is in view, a scan of fewer than `min_expected` measurements is not counted as
     doubted: what should be in view may be hidden by something that is not mapped yet, and a few spurious measurements
@@ -196,7 +199,8 @@ class Tracker:
         measured = len(hypothesis.features)
         fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
         missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
-        few = measured >= self.min_expected and len(paired) < fraction * measured
+        tracked = hypothesis.pairings if prediction.has_view and not self.lost else len(paired)
+        few = measured >= self.min_expected and tracked < fraction * measured
         unresolved = self.doubted > 0 and not prediction.has_view
         unexplained = few and (unresolved or len(should_persist) >= self.min_expected)
         unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
@@ -207,7 +211,8 @@ class Tracker:
         visibility = prediction.visibility()
         if visibility is None:
             return paired & self.in_sector(prediction.positions)
-        return (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
+        in_view: BoolArray = (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
+        return in_view if self.lost else in_view & prediction.near
 
 
 @compiled

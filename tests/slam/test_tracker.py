@@ -48,6 +48,27 @@ def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is() -> None:
     assert not doubts(tracker, out_of_view, paired(3))
 
 
+def test_behind_a_door_pairings_with_features_that_are_not_established_yet_keep_doubt_away() -> None:
+    out_of_view = prediction(np.full(FEATURES, 0.05))
+    for count, doubted in ((3, False), (2, True)):
+        tracker, newest = Tracker(0.3, 3, 4), np.where(np.arange(FEATURES) < count, 9 - np.arange(FEATURES), UNPAIRED)
+        assert not doubts(tracker, out_of_view, paired(6))
+        few_new = replace(paired(count), features=newest)
+        assert doubts(tracker, out_of_view, few_new, np.arange(FEATURES) < 6) is doubted
+
+
+def test_features_that_are_not_near_are_no_reason_to_doubt_but_find_a_lost_robot_again() -> None:
+    in_view = prediction(np.full(FEATURES, 0.9))
+    old = replace(in_view, expected=in_view.expected._replace(near=np.zeros(FEATURES, bool)))
+    tracker = Tracker(0.3, 3, 4)
+    for _ in range(20):
+        assert not doubts(tracker, old, paired(0))
+    while not tracker.lost:
+        assert doubts(tracker, in_view, paired(0))
+    assert doubts(tracker, old, paired(3)) and tracker.lost
+    assert not doubts(tracker, old, paired(8)) and not tracker.lost
+
+
 def test_a_scan_that_mostly_makes_sense_is_not_doubted_for_what_it_does_not_show() -> None:
     half = replace(paired(2), features=np.array([0, 1, UNPAIRED, UNPAIRED]))
     assert not doubts(Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9)), half)
