@@ -32,7 +32,9 @@ def main(
     relocation: Annotated[
         Names, Option(metavar="NAME …", help="See slam-gym list relocators; or none. By default both none and gcbb.")
     ] = None,
-    split: Annotated[Literal["train", "test"], Option(help="Split of the worlds; tune on train.")] = "test",
+    split: Annotated[
+        Literal["train", "test"] | None, Option(help="Split of the worlds, by default test; tune on train.")
+    ] = None,
     suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
     recording: Annotated[
         str | None, Option(metavar="LOG", help="See slam-gym list recordings; or .csv, .npz, .g2o, .txt (iSAM).")
@@ -44,6 +46,9 @@ def main(
 
     if suite and recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
+    if recording and split:
+        raise ValueError("--split: a recording has no worlds")
+    split = split or "test"
     if film and (suite or recording or not 2 <= len(associators or ()) <= 4):
         raise ValueError("--film shows drives of two to four associators: name them by --associators")
     kind = "suite" if suite else "recording" if recording else "association"

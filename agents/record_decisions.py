@@ -74,6 +74,8 @@ def main(
 
     worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES, split)
     name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
+    if name in minari.list_local_datasets():
+        raise ValueError(f"--dataset {name}: there is one of this name")
     envs = [each.make() for each in worlds]
     for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
         ends = np.arange(1, len(e.actions) + 1) == len(e.actions)

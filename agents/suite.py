@@ -154,7 +154,7 @@ class RelocationProblem(NamedTuple):
 
 def relocation_problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[RelocationProblem]:
     """Up to `count` problems: half inside the map, on the second lap, then as many in another building."""
-    inside, laps = 0, TwoLaps(level, world, split)
+    inside, left, laps = 0, count // 2, TwoLaps(level, world, split)
     for odometry, scan, truth in laps.sampled((count + 1) // 2):
         inside += 1
         landmarks, locality = laps.slam.map.landmarks(), covisible(laps.slam.covisibility)
@@ -165,8 +165,8 @@ def relocation_problems(level: Level, world: int, count: int, split: str = "test
     other = TwoLaps(level, (world + OTHER_BUILDING) % SPLITS["test"][1], split)
     for pose in other.rng.permutation(other.poses):
         scan, seen = other.look(pose)
-        if inside and np.count_nonzero(seen.sources >= 0) >= MIN_MAPPED:
-            inside -= 1
+        if min(inside, left) and np.count_nonzero(seen.sources >= 0) >= MIN_MAPPED:
+            inside, left = inside - 1, left - 1
             yield RelocationProblem(scan, landmarks, locality, None)
 
 

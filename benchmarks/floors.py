@@ -57,7 +57,7 @@ def replayed(arguments: dict[str, Any], seed: int, speeds: Array, associator: st
 
     search = None if associator == CEILING else SEARCH
     episode = mapped(SCENARIO, seed, speeds, watch=record_scan, associator=associator, relocation=search, **arguments)
-    measures, counts = quality(episode), {"lost": sum(lost), "maps": len(episode.slam.maps)}
+    measures, counts = quality(episode), {"lost_steps": sum(lost), "maps": len(episode.slam.maps)}
     return {name: measures[name] for name in MEASURES} | batch_errors(episode, steps) | counts
 
 

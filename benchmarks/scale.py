@@ -22,7 +22,6 @@ from scipy.spatial import cKDTree
 from benchmarks.common import Record, lanes, options, resident, table, timed
 from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec, StochasticMap, jcbb
 from slam_gym.geometry import observe, relative, transform
-from slam_gym.mapping.covisibility import Edges, graph_of
 from slam_gym.simulation.surveyed_field import features_in_view
 from slam_gym.types import Array
 
@@ -43,8 +42,8 @@ def large_slam(features: int, rng: np.random.Generator) -> Slam:
     slam.map = StochasticMap(MapSpec(unconfirmed_age=None), capacity=features)
     slam.map.predict(STILL)
     slam.map.add(Scan.from_points(points, sigma=SIGMA), np.arange(features))
-    pairs = cKDTree(slam.map.positions).query_pairs(REACH, output_type="ndarray").astype(np.int64)
-    slam.covisibility = graph_of(features, Edges(pairs, np.full(len(pairs), 3)))
+    slam.covisibility.add(features)
+    slam.covisibility.link(cKDTree(slam.map.positions).query_pairs(REACH, output_type="ndarray"))
     return slam
 
 

@@ -19,6 +19,7 @@ from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import Metered, contenders, hashes_of, metered
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem
+from agents.options import ON_A_FLOOR
 from slam_gym.slam.relocate import SEARCH
 
 
@@ -49,8 +50,11 @@ class ExploreArguments(_Arguments):
 
     @property
     def world(self) -> str:
-        """The name of its worlds for titles: that of the scenario, or of the file of a floor plan."""
-        return Path(self.floor_plan).name if self.floor_plan else self.scenario
+        """The name of its worlds for titles: that of the scenario, or of the file of a floor plan, with the scenario
+        unless it is the default there."""
+        if self.floor_plan is None:
+            return self.scenario
+        return Path(self.floor_plan).name + f" as {self.scenario}" * (self.scenario != ON_A_FLOOR)
 
     def make(self, action: str, **others: Any) -> gym.Env[Any, Any]:
         """The environment; `others` are further arguments of it, and replace those of the same name. Raises ValueError,

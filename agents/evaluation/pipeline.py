@@ -160,8 +160,10 @@ def _read(folder: Path) -> Results | None:
     if not (folder / TABLE).exists():
         return Results(metadata, pd.DataFrame(columns=Key._fields))
     with undamaged(folder / TABLE):
-        frame = pd.read_csv(folder / TABLE, dtype={"name": str, "setting": str, "model": str, "episode": int})
-        return Results(metadata, frame.set_index([*Key._fields]).reset_index().fillna({"model": ""}))
+        frame, text = pd.read_csv(folder / TABLE, dtype={"episode": int}), ["name", "setting", "model"]
+        as_written = pd.read_csv(folder / TABLE, usecols=text, dtype=str, keep_default_na=False)  # also where it is NA
+        frame[text] = as_written[text]
+        return Results(metadata, frame.set_index([*Key._fields]).reset_index())
 
 
 def _write_rows(out: Path, rows: Sequence[Record]) -> None:

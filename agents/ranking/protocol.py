@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 
 from agents.drivers.base import Agent, make_agent
+from agents.evaluation.associators import hashes_of
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
@@ -111,4 +112,4 @@ def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
     """The evaluation of an entry by the protocol."""
     keys = [Key(name, setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
     tasks = [Task([key], functools.partial(lose, name, chosen.role, key.setting, key.episode)) for key in keys]
-    return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about)
+    return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about, {"models": hashes_of(name)})

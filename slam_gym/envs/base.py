@@ -226,15 +226,19 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     def __reduce__(self) -> Any:
         again = partial(type(self), **vars(self.arguments))
-        return again, (), (self._snapshot, self._np_random, self._carried_over())
+        generator = None if self._failed else self._np_random  # a failed step may have used it
+        return again, (), (self._snapshot, generator, self._carried_over())
 
     def __setstate__(self, state: tuple[Snapshot | None, np.random.Generator | None, dict[str, Any]]) -> None:
         snapshot, generator, carried_over = state
         vars(self).update(carried_over)
-        if snapshot is not None and generator is not None:
-            self.restore(snapshot)
+        if snapshot is None:
+            self._np_random = generator
+            return
+        self.restore(snapshot)
+        if generator is not None:
             self.np_random.bit_generator.state = generator.bit_generator.state  # the episode shares this generator
-            vars(self).update(carried_over)
+        vars(self).update(carried_over)
 
     # -- what a subclass provides ------------------------------------------------------------------------------------
 

@@ -175,6 +175,10 @@ class RelocateEnv(BaseEnv):
             made = MappedWorld(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
             self._maps = {world: made}
         self.mapped = self._maps[world]
+        if self.mapped.elsewhere is None and self.arguments.outside > 0.0:
+            raise ValueError(
+                f"outside={self.arguments.outside}: the scenario has one world only; outside=0.0 stays in it"
+            )
         inside = bool(self.np_random.random() >= self.arguments.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
         landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.arguments.locality)

@@ -26,6 +26,7 @@ import numba
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -133,6 +134,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         for i, arguments in resets.items():  # before any world changes
             with _numbered_errors(i):
                 self._checked_options(arguments["options"])
+                if seeds[i] is not None:
+                    seeding.np_random(seeds[i])
         return self._outcome(self._exchange("reset", resets))
 
     def step(self, actions: Any) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:  # type: ignore[override]

@@ -65,6 +65,16 @@ class CovisibilityGraph:
         """
         count_pairs(self.counts, indices("features", features, self.n, UNPAIRED))
 
+    def link(self, pairs: IntArray) -> None:
+        """Count each pair (k, 2) of different features as seen together once, unless it was already.
+
+        Raises ValueError for a feature that is not in the graph, or that is paired with itself.
+        """
+        i, j = indices("pairs", pairs.ravel(), self.n).reshape(-1, 2).T
+        if (i == j).any():
+            raise ValueError(f"pairs: feature {i[i == j][0]} with itself")
+        self.counts[i, j] = self.counts[j, i] = np.maximum(self.counts[i, j], 1)
+
     def keep(self, kept: IntArray) -> None:
         """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
 
@@ -111,18 +121,6 @@ class CovisibilityGraph:
         """All edges, in ascending order."""
         pairs = np.argwhere(np.triu(self.counts[: self.n, : self.n]))
         return Edges(pairs, self.counts[pairs[:, 0], pairs[:, 1]].astype(np.int64))
-
-
-def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
-    """The graph of n nodes with `edges`, each listed once. Raises ValueError unless each joins two different nodes."""
-    pairs = np.asarray(edges.pairs, np.int64).reshape(-1, 2)
-    if np.any((pairs < 0) | (pairs >= n)) or np.any(pairs[:, 0] == pairs[:, 1]):
-        raise ValueError(f"edges: not all of them join two different nodes of {n}")
-    graph = CovisibilityGraph()
-    graph.add(n)
-    i, j = pairs.T
-    graph.counts[i, j] = graph.counts[j, i] = edges.counts
-    return graph
 
 
 @compiled

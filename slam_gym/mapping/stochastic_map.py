@@ -27,6 +27,7 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Odom
 from slam_gym.validation import Checked, indices
 
 _LARGEST_FILE = 1 << 30  # [bytes] of a map
+_ROUNDING = 1e-6  # of a correlation
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
 
 
@@ -342,7 +343,7 @@ class StochasticMap:
             state |= {name: operator.index(state[name].item()) for name in ("step", "next_id")}
             spec = MapSpec(**json_of(str(array_of(members["spec"], "U"))))
             m = cls.of_state(spec, MapState(**state))
-            check_contents(m)
+            check_contents(m, state["covariance"])
             return m
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise ValueError(f"{path}: no map that can be read ({error})") from error
@@ -405,13 +406,16 @@ class StochasticMap:
 # validation
 
 
-def check_contents(m: StochasticMap) -> None:
-    """Raise ValueError where ids are not unique and below the next one, the covariance is not symmetric, or a variance
-    is negative."""
-    ids, covariance, variances = m.ids, m.covariance, m.size_variances
+def check_contents(m: StochasticMap, covariance: Array) -> None:
+    """Raise ValueError where ids are not unique and below the next one, a variance is negative, or the covariance that
+    was read is not symmetric or has |P_ij| > σ_i σ_j."""
+    ids, variances, diagonal = m.ids, m.size_variances, covariance.diagonal()
     if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
         raise ValueError("counted, step, next_id: not those of a map")
-    if (covariance.diagonal() < 0.0).any() or not np.allclose(covariance, covariance.T):
+    if (diagonal < 0.0).any() or not np.allclose(covariance, covariance.T):
+        raise ValueError("covariance: is none")
+    sigmas = np.sqrt(diagonal)
+    if (np.abs(covariance) > (1.0 + _ROUNDING) * np.outer(sigmas, sigmas) + _ROUNDING * diagonal.max()).any():
         raise ValueError("covariance: is none")
     if (variances < 0.0).any():
         raise ValueError("sized: a variance is negative")

@@ -110,6 +110,7 @@ class Identities:
 
     def source_of(self, ids: IntArray) -> IntArray:
         """(k,) true feature behind each map feature in `ids` (k,); SPURIOUS: created by a spurious measurement."""
+        self._source = _grown(self._source, int(ids.max(initial=0)), UNLABELLED)
         return self._source[ids]
 
     def majority_of(self, ids: IntArray) -> IntArray:
@@ -128,7 +129,9 @@ class Identities:
         """
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
-        self.decisions, removed = np.empty(len(step.ids), np.int64), step.removed
+        ids, self.decisions, removed = step.ids.tolist(), np.empty(len(step.ids), np.int64), step.removed
+        largest = max(ids + removed.tolist() + step.returned.tolist(), default=0)  # of a map that was loaded
+        self._source = _grown(self._source, largest, UNLABELLED)
         if step.prediction.expected.n == 0:
             left_behind = removed[~np.isin(removed, step.ids) & ~np.isin(removed, step.returned)]
             self._remove(left_behind)
@@ -137,7 +140,7 @@ class Identities:
             step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions,
             self._counts,
         )  # fmt: skip
-        for feature, source, new in zip(step.ids.tolist(), truth.sources.tolist(), step.created.tolist()):
+        for feature, source, new in zip(ids, truth.sources.tolist(), step.created.tolist()):
             if new or (feature != NO_ID and source != UNLABELLED):
                 self._measured[feature][source] += 1
         if started:

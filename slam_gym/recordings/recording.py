@@ -247,6 +247,7 @@ def _validate(log: Recording) -> None:
     if starts[0] != 0 or starts[-1] != M:
         raise RecordingError(f"field 'starts' goes from {log.starts[0]} to {log.starts[-1]}, expected 0 to {M}")
     _refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]), "has no finite position")
+    _refuse("reference_poses", np.isinf(log.reference_poses[:, 2]), "has an infinite heading")
     _refuse("size_variances", log.size_variances < 0.0, "is negative")
     _refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
     _refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")

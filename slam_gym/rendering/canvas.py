@@ -175,7 +175,7 @@ class Window:
 
     def show(self, picture: Any) -> None:
         """Show a surface. The first call opens the window in the size of its surface."""
-        if self._window is None:
+        if self._window is None or pygame.display.get_surface() is None:  # another window has closed the display
             pygame.display.init()
             self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE)
             pygame.display.set_caption(self.title)

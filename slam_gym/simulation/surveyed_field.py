@@ -57,14 +57,18 @@ class SurveyedField:
     def scan_inside(self, m: int, spurious: int, rng: np.random.Generator) -> FieldScan:
         """A scan of m measurements in random order, `spurious` of them clutter, from a random pose inside the map.
 
-        Raises ValueError where none of many random poses has so many features in view.
+        Raises ValueError for more clutter than measurements, and where none of many random poses has so many features
+        in view.
         """
-        seen, draws = np.empty(0, np.int64), 0
-        while len(seen) < m - spurious:
-            if (draws := draws + 1) > _DRAWS:
-                raise ValueError(f"m={m}: none of {_DRAWS} poses has {m - spurious} features in view")
+        if not 0 <= spurious <= m:
+            raise ValueError(f"spurious: {spurious}, expected 0 … m = {m}")
+        for _ in range(_DRAWS):
             pose = np.array([*(self.side * rng.random(2)), rng.uniform(-math.pi, math.pi)])
             seen = features_in_view(self.features, pose, REACH, math.pi)
+            if len(seen) >= m - spurious:
+                break
+        else:
+            raise ValueError(f"m={m}: none of {_DRAWS} poses has {m - spurious} features in view")
         seen = rng.permutation(seen)[: m - spurious]
         points = np.concatenate([observe(pose, self.features[seen]), clutter(spurious, REACH, math.pi, rng)])
         truth, order = np.concatenate([seen, np.full(spurious, UNPAIRED)]), rng.permutation(m)

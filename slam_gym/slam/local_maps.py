@@ -35,7 +35,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
 from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Locality, Odometry, Scan
-from slam_gym.validation import check_scan, indices
+from slam_gym.validation import check_inputs, check_scan, indices
 
 Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
 """Finds features mapped twice: takes the join of two local maps, the rows of its older (a,) and newer features (b,),
@@ -100,6 +100,7 @@ class LocalMapSlam:
 
     def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
         """As `Slam.predict`; begins a new local map if the current one is closed."""
+        check_inputs(odometry, scan)
         if self._is_closed:
             check_scan(scan)
             self.map.predict(odometry)

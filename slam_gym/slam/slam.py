@@ -12,7 +12,7 @@ from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.geometry import compose_jacobians, inverse
-from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, graph_of
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
@@ -23,7 +23,7 @@ from slam_gym.slam.places.loops import NO_PAIRS
 from slam_gym.slam.relocate import Relocate, Tracker
 from slam_gym.slam.step import Settings, learn
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, Effort, Experience, Hypothesis, Odometry, Relocation, Scan
-from slam_gym.validation import Checked, check_hypothesis, check_inputs
+from slam_gym.validation import Checked, check_hypothesis, check_inputs, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 _SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped, where the view is unknown
@@ -100,6 +100,8 @@ class Slam:
         self._experience: Experience | None = None  # what the associator has learned so far
         self._weighs_all = False  # whether the associator of the last scan returns an experience
         self._odometry = STILL  # the last
+        self._adopted = _NO_FEATURES  # ids of features that others have added to the map
+        self._linked = math.nan  # [m] the reach by which these were last linked
         self._warned = False
         confidence, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
         # χ² gate: a measurement that is compatible with any feature within it does not start a new one
@@ -128,10 +130,13 @@ class Slam:
         have removed features of the map.
         """
         check_inputs(odometry, scan)
-        if more := self.map.n - self.covisibility.n:  # the map was loaded, or others have added features
-            self._adopt(more, scan)
+        if self.map.n != self.covisibility.n:  # the map was loaded, or others have added features
+            self._adopt()
+        if len(self._adopted):
+            check_scan(scan)
+        prediction = self._predict(odometry, scan, self._most_accidental)
         self._odometry = odometry
-        return self._predict(odometry, scan, self._most_accidental)
+        return prediction
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Complete the step after association: the map learns from the scan if the tracker believes it.
@@ -141,6 +146,7 @@ class Slam:
         """
         if prediction.estimate is not self.map.estimate:
             raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
+        check_scan(scan)
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
         self._weighs_all, spec = hypothesis.experience is not None, self.spec
         if self.relocator is not None:
@@ -272,6 +278,8 @@ class Slam:
         reach = self.reach
         if self.spec.reach is None:
             reach = max(reach, _farthest(scan.points, scan.covariances))
+        if len(self._adopted) and reach != self._linked:
+            self._link_adopted(reach)
         prediction = predict(
             self.map, reach, odometry=odometry, scan=scan, graph=self.covisibility if self.spec.locality else None,
             since=self._learned_at[0] if self._learned_at else self.map.step, accidental=(self._gate, most_accidental),
@@ -314,14 +322,20 @@ class Slam:
         everything = self._predict(STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous
         return self.update(scan, everything, hypothesis)
 
-    def _adopt(self, more: int, scan: Scan) -> None:
-        """Enter the last `more` features of the map in the graph, which others have added. Raises as `predict`."""
-        if more < 0:
-            raise ValueError(f"map: {-more} features were removed by others than this Slam")
-        widest = 2.0 * max(self.reach, _farthest(scan.points, scan.covariances))
-        pairs = cKDTree(self.map.positions[-more:]).query_pairs(widest, output_type="ndarray").astype(np.int64)
-        added = graph_of(more, Edges(pairs, np.ones(len(pairs), np.int64)))
-        self.covisibility = self.covisibility.followed_by(added)
+    def _adopt(self) -> None:
+        """Enter the features in the graph that others have added to the map. Raises as `predict`."""
+        m, graph = self.map, self.covisibility
+        if m.n < graph.n:
+            raise ValueError(f"map: {graph.n - m.n} features were removed by others than this Slam")
+        self._adopted, self._linked = np.concatenate([self._adopted, m.ids[graph.n :]]), math.nan
+        graph.add(m.n - graph.n)
+
+    def _link_adopted(self, reach: float) -> None:
+        """Add an edge between any two features added by others that one scan with this `reach` [m] may see."""
+        rows = np.flatnonzero(np.isin(self.map.ids, self._adopted))
+        near = cKDTree(self.map.positions[rows]).query_pairs(2.0 * reach, output_type="ndarray")
+        self.covisibility.link(rows[near])
+        self._linked = reach
 
     def _settings(self) -> Settings:
         """The settings that `learn` takes."""

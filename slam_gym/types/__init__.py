@@ -33,6 +33,8 @@ from slam_gym.types._fields import IntArray as IntArray
 SPURIOUS = -1
 """The source of a measurement that comes from no true feature."""
 
+_EXACT = 1e-12  # [m²] variance of an exact measurement
+
 UNLABELLED = -2
 """The source of a measurement without a label (recordings only)."""
 
@@ -119,7 +121,8 @@ class Scan:
 
         Arguments:
             covariances: (m, 2, 2) [m²], or (2, 2) for all measurements.
-            sigma: [m] standard deviation in both directions, one number or (m,).
+            sigma: [m] standard deviation in both directions, one number or (m,). For 0 a micrometre is taken: the
+                innovations of several exact measurements would have a singular covariance.
             sizes: (m,) [m] intrinsic attribute, NaN where unknown; requires `size_sigma` [m], one number or (m,).
             kinds: (m,) class of each measurement, UNKNOWN_KIND where unknown.
 
@@ -128,6 +131,7 @@ class Scan:
         """
         positions = floats("points", points, (-1, 2))
         marginals = covariances_of("covariances", covariances, sigma, len(positions))
+        marginals[~marginals.any(axis=(1, 2))] = _EXACT * np.eye(2)
         return cls(positions, marginals, *sizes_of(sizes, size_sigma, len(positions)), kinds_of(kinds, len(positions)))
 
     @classmethod

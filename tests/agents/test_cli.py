@@ -56,10 +56,6 @@ def test_several_scenarios_are_several_loops_and_one_too_many_where_one_is_asked
         found.arguments("office", "train")
 
 
-def test_an_option_takes_several_values_in_a_row():
-    assert parsed("--names", "a", "b", "--quick", "--names", "c")[1:] == (["a", "b", "c"], True)
-
-
 @pytest.mark.parametrize(
     ("raised", "code", "said"),
     [

@@ -92,6 +92,7 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
         (["--recording", "victoria_park"], ("not part of this package", "SLAM_GYM_DATA", "Cite: Guivant")),
         (["--recording", "park"], ("unknown recording 'park'; known: victoria_park, mrclam, dlr, FILE",)),
         (["--recording", "park.npz"], ("park.npz: not there",)),
+        (["--recording", "victoria_park", "--split", "train"], ("--split: a recording has no worlds",)),
         (["--film", "--associators", "jcbb"], ("two to four associators",)),
         (["--recording", "victoria_park", "--robots", "1"], ("--robots is for mrclam",)),
     ],

@@ -114,6 +114,7 @@ def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
     assert all(explained(case, case.right) > 0.8 for case in inside)
     assert np.mean([explained(case, inside[0].right) for case in outside]) < 0.6
     assert all(len(case.locality) == len(case.landmarks) for case in cases)
+    assert [case.right is None for case in relocation_problems(get_level("kidnapped/0"), 0, 3, "train")] == [0, 0, 1]
 
 
 # -- the records of worlds ---------------------------------------------------------------------------------------------

@@ -24,7 +24,8 @@ from slam_gym.association import (
     singles,
 )
 from slam_gym.association.prediction import Prediction
-from slam_gym.types import UNPAIRED, Scan
+from slam_gym.slam.slam import Slam
+from slam_gym.types import UNPAIRED, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -110,6 +111,18 @@ def test_all_spurious_pairs_nothing(search):
     scan, prediction = oracles.problem(np.random.default_rng(0), 6, 8)
     answer = search(dataclasses.replace(scan, points=scan.points + 100.0), prediction)
     assert answer.features.tolist() == [UNPAIRED] * 6 and (answer.joint_distance, answer.dof) == (0.0, 0)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_exact_measurements_are_paired_as_those_with_a_tiny_error(search):
+    places, paired = np.array([[2.0, 1.0], [3.0, -1.0], [4.0, 2.0], [1.0, -2.0]]), []
+    for sigma in (0.0, 1e-6):
+        slam = Slam()
+        for k in range(4):
+            odometry = Odometry.from_motion([0.1 * (k > 0), 0.0, 0.0], 0.01 * (k > 0))
+            step = slam.step(odometry, Scan.from_points(places - [0.1 * k, 0.0], sigma=sigma), search)
+            paired.append(step.hypothesis.features.tolist())
+    assert paired[:4] == paired[4:] and paired[3] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("search", [s for s in SEARCHES if s not in (marginal, learned_associator)])  # which refuse

@@ -287,6 +287,9 @@ def test_where_an_argument_does_not_pickle_snapshots_do_and_copies_work(name, ar
         pickle.dumps(env)
     assert not differences(pickle.loads(pickle.dumps(env.snapshot())), env.snapshot())
     assert not differences(copy.deepcopy(env).step(action), env.step(action))
+    untouched = small(name)
+    untouched.np_random = np.random.default_rng(5)
+    assert not differences(copy.deepcopy(untouched).reset(), untouched.reset())
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------
@@ -324,6 +327,10 @@ def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None
         env.close()
         env.close()
         assert not pygame.display.get_init()
+    other = small(name, render_mode="human")
+    env.reset(seed=0), other.reset(seed=0), env.close()
+    assert other.render() is None and pygame.display.get_init(), "another goes on"
+    other.close()
     count = len(shown)
     copy.deepcopy(env)
     assert len(shown) == count, "a replay shows nothing"
@@ -348,6 +355,10 @@ def test_a_step_that_fails_is_not_done_and_the_way_back_is_open() -> None:
     with pytest.raises(RuntimeError, match=r"failed half-way: call reset\(\), or restore\(snapshot\(\)\)"):
         env.step(ahead)
     assert len(env.snapshot().actions) == 2
+    calls[:] = [0] * 4  # it fails no more
+    twin = ExploreEnv("office-small", associator=failing, action="twist")
+    twin.restore(env.snapshot())
+    assert not differences(copy.deepcopy(env).step(ahead), twin.step(ahead))
     again, _ = env.restore(env.snapshot())
     assert all(np.array_equal(again[name], observation[name]) for name in observation)
     env.step(ahead)

@@ -44,7 +44,7 @@ def test_a_scan_is_shown_nearest_first_and_unknown_sizes_are_zero() -> None:
     np.testing.assert_array_equal(shown[:, 0], [1, 1, 1, 0, 0])
     assert not shown[3:].any()
     np.testing.assert_allclose(unsquash(shown[:3, 1:3], 6.0), points[[1, 2, 0]], rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(unsquash(shown[:3, 3], 0.1), [0.1, 0.0, 0.2], rtol=1e-5)
+    np.testing.assert_allclose(unsquash(shown[:3, 3], 0.1), [0.1, 1e-6, 0.2], rtol=1e-5)
     np.testing.assert_allclose(shown[:3, 4], [0.5, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(unsquash(shown[:3, 6], 1.0), [0.0, 3.0, 1.0], rtol=1e-5)
     assert len(rows(observed(scan, 2)["scan"])) == 2

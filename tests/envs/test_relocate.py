@@ -10,7 +10,7 @@ from slam_gym.association.policy import relocator_from_policy
 from slam_gym.association.relocation.walk import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
 from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
-from slam_gym.scenarios import get_scenario
+from slam_gym.scenarios import from_floor_plan, get_scenario
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.relocation_problems import kidnap
 from slam_gym.world.floor_plan_file import save_floor_plan
@@ -190,6 +190,9 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
         np.testing.assert_array_equal(env.mapped.site.plan.walls, plan.walls)
     assert found == {True, False} and len(env.mapped.elsewhere.plan.rooms) > len(plan.rooms)
     assert bare("Relocate-v0", floor_plan=path).scenario.sensor == get_scenario("building").sensor
+    only = replace(get_scenario("office-small"), generator=from_floor_plan(path).generator)
+    with pytest.raises(ValueError, match=r"outside=0\.5: the scenario has one world only"):
+        relocate(only, overrides={"budget": 60}, outside=0.5).reset(seed=0)
     with pytest.raises(ValueError, match=r"resolution=0\.1 goes with a floor_plan"):
         relocate(resolution=0.1)
 

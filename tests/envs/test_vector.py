@@ -160,6 +160,8 @@ def test_a_bad_action_is_refused_with_its_world_and_no_world_moves(name) -> None
     for wrong in (0, [0], [0.5, 1.0], [[0], [1]], ["a", "b"]):
         with pytest.raises(ValueError, match="actions"):
             envs.step(wrong)
+    with pytest.raises(RuntimeError, match="world 1: Error: Seed"):
+        envs.reset(seed=[5, -1])
     actions = legal(envs, np.random.default_rng(0))
     assert not differences(envs.step(actions), twin.step(actions))
 

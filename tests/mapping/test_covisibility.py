@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, among, graph_of, mark_local
+from slam_gym.mapping.covisibility import CovisibilityGraph, among, mark_local
 from slam_gym.types import UNPAIRED
 
 
@@ -96,19 +96,20 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:
     for i in (graph.n, -1):
         with pytest.raises(IndexError):
             graph.neighbours(i)
-    with pytest.raises(ValueError, match="edges"):
-        graph_of(3, Edges(np.array([[0, 3]]), np.array([1])))
+    for pairs in ([[0, graph.n]], [[1, 1]]):
+        with pytest.raises(ValueError, match="pairs"):
+            graph.link(np.array(pairs))
     assert_equal(graph, oracle)
 
 
-def test_a_graph_of_edges_is_the_graph_that_they_are_of() -> None:
+def test_a_link_is_counted_once_and_only_where_there_is_none() -> None:
     graph, oracle = random_pair(np.random.default_rng(0), 60)
-    again = graph_of(graph.n, graph.edges())
-    assert_equal(again, oracle)
-    for each in (graph, again, oracle):  # all go on alike
-        each.see_together(np.arange(40))
+    pairs = np.argwhere(np.triu(np.ones((graph.n, graph.n)), 1))
+    for _ in range(2):
+        graph.link(pairs)
+    for i, j in pairs.tolist():
+        oracle.counts[i, j] = max(oracle.count(i, j), 1)
     assert_equal(graph, oracle)
-    assert_equal(again, oracle)
 
 
 def test_one_graph_after_another_has_the_edges_of_both() -> None:

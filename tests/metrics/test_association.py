@@ -41,6 +41,13 @@ def mapped(*sources):
     return identities
 
 
+def test_features_that_nobody_saw_created_are_not_judged():
+    identities = mapped(7)
+    update(identities, step([5000, 0], removed=[6000]), truth(3, 7))
+    assert identities.decisions.tolist() == [Decision.UNJUDGED, Decision.RIGHT]
+    assert identities.source_of(np.array([0, 9000])).tolist() == [7, UNLABELLED]
+
+
 def test_every_verdict_of_one_scan():
     identities = mapped(7, 8, 9, 7, SPURIOUS)  # feature 3 duplicates feature 0, feature 4 is spurious
     scan = [

@@ -120,6 +120,7 @@ def broken(name: str, index, value) -> np.ndarray:
         ({"motion_covariances": broken("motion_covariances", 1, -np.eye(3))}, "'motion_covariances': entry 1 is no"),
         ({"size_variances": broken("size_variances", 1, -1.0)}, "field 'size_variances': entry 1 is negative"),
         ({"reference_poses": broken("reference_poses", (0, 1), np.nan)}, "'reference_poses': entry 0 has no finite"),
+        ({"reference_poses": broken("reference_poses", (0, 2), np.inf)}, "'reference_poses': entry 0 has an infinite"),
         ({"landmark_ids": np.array([7, 7])}, "field 'landmark_ids' names a landmark twice"),
         ({"times": np.array(["a"] * 6, dtype=object)}, "field 'times' is not a numpy array"),
         # what would overflow further in

@@ -36,6 +36,9 @@ def test_scans_from_inside_show_features_in_reach_and_those_from_outside_none() 
         off = field.scan_outside(8, rng)
         assert len(off.scan) == 8 and (off.truth == UNPAIRED).all() and np.isnan(off.pose).all()
         assert (np.hypot(*off.scan.points.T) < 1.1 * REACH).all()
+    assert (field.scan_inside(3, 3, rng).truth == UNPAIRED).all()
+    with pytest.raises(ValueError, match="spurious: 4"):
+        field.scan_inside(3, 4, rng)
 
 
 def test_every_locality_has_a_name_and_contains_the_feature_itself() -> None:

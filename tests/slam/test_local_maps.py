@@ -195,6 +195,8 @@ def test_a_bad_scan_is_refused_before_a_new_map_begins() -> None:
     before = slam.map.pose_covariance
     with pytest.raises(ValueError, match="measurement 0"):
         slam.step(still, Scan(np.full((1, 2), np.nan), np.eye(2)[None], unknown, unknown))
+    with pytest.raises(ValueError, match="odometry: Scan, expected Odometry"):
+        slam.step(good, still)
     assert len(slam.maps) == 1
     np.testing.assert_array_equal(slam.map.pose_covariance, before)
     with pytest.raises(ValueError, match="features_per_map"):

@@ -1,5 +1,6 @@
 """One SLAM step: what is paired, what starts a feature, what is forgotten, what is refused."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from benchmarks.consistency import METHODS, LoopSpec, estimate, loop
 from benchmarks.corridor import run_corridor
 from slam_gym.association import jcbb
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Effort, Hypothesis, Odometry, Scan
 
@@ -57,6 +59,19 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
     again.map.remove(np.arange(20))
     with pytest.raises(ValueError, match="map: 20 features were removed"):
         again.step(STILL, scan_of(places))
+
+
+@pytest.mark.parametrize("first", [[], [[0.5, 0.0]], [[np.nan, 1.0]]])
+def test_features_of_a_loaded_map_are_linked_however_little_the_first_scan_shows(first) -> None:
+    slam, places = slam_of(), np.random.default_rng(0).uniform(-4.0, 4.0, (12, 2))
+    slam.map.add(scan_of(places), np.arange(12))
+    if np.isnan(first).any():
+        with pytest.raises(ValueError, match="not finite"):
+            slam.step(STILL, scan_of(first))
+    else:
+        slam.step(STILL, scan_of(first), lambda scan, prediction: Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0))
+    step = slam.step(STILL, scan_of(places))
+    assert step.hypothesis.pairings == 12 and len(slam.covisibility.edges().counts) == 66
 
 
 def test_a_hypothesis_that_does_not_fit_is_refused_by_name() -> None:
@@ -129,13 +144,14 @@ def test_bad_input_is_refused_by_name_and_changes_nothing(odometry, scan, messag
 
 @pytest.mark.parametrize("new", [None, np.array([False, True])])
 def test_learning_from_a_bad_measurement_changes_nothing(new) -> None:
-    slam = slam_of()
+    slam = Slam(relocate=relocate_by("gcbb"))
     slam.step(STILL, scan_of(SEEN))
-    prediction = slam.predict(STILL, scan_of(SEEN))
+    prediction, tracker = slam.predict(STILL, scan_of(SEEN)), copy.deepcopy(vars(slam.tracker))
     mean, covariance, seen = slam.map.mean, slam.map.covariance, slam.map.seen
     decided, bad = Hypothesis(np.array([0, UNPAIRED]), 0.0, 2, new=new), scan_of([SEEN[0], [np.nan, 1.0]])
-    with pytest.raises(ValueError, match=r"measurement 1 is not finite|scan.points\[1\] is not finite"):
+    with pytest.raises(ValueError, match="measurement 1: points are not finite"):
         slam.learn(bad, prediction, decided)
+    np.testing.assert_equal(vars(slam.tracker), tracker)
     np.testing.assert_array_equal(slam.map.mean, mean)
     np.testing.assert_array_equal(slam.map.covariance, covariance)
     np.testing.assert_array_equal(slam.map.seen, seen)

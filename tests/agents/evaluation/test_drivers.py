@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.evaluation.episodes import Driver, ExploreArguments, driver_evaluation, drivers_of, run_episode
+from agents.evaluation.episodes import ExploreArguments, driver_evaluation, drivers_of, run_episode
 from agents.evaluation.pipeline import carry_out
 from agents.reports.pages import drive_tables
 from slam_gym.metrics.statistics import interquartile_mean
@@ -32,19 +32,6 @@ def test_the_table_is_that_of_the_results(finished):
     assert list(table.rows) == ["random", "nearest_frontier"] and table.title == "office-small, 3 episodes"
     values = frame.loc[frame["name"] == "random", "map_error"].to_numpy()
     assert table.rows["random"]["map_error"].estimate == interquartile_mean(values)
-
-
-def test_a_model_alone_adds_the_learned_agent():
-    assert [d.agent for d in drivers_of(["random"], ["a.zip", "b.zip"], False)] == ["random", "ppo", "ppo"]
-    assert drivers_of(["random", "random"], [], False) == [Driver("random")]
-
-
-def test_what_became_of_robots_that_were_carried_away(finished):
-    (table,) = drive_tables(finished)
-    carried = finished.frame.assign(kidnapped=1.0, recovered=1.0, ticks_astray=30.0)
-    (further,) = drive_tables(finished._replace(frame=carried))
-    assert [c.title for c in further.columns[len(table.columns) :]] == ["recovered", "wrong reloc.", "ticks astray"]
-    assert further.rows["random"]["ticks_astray"].estimate == 30.0
 
 
 # --- episodes agree with themselves, whoever watches; arguments are those that the environments take ------------------

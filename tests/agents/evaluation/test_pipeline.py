@@ -3,8 +3,10 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info
@@ -15,6 +17,8 @@ from agents.options import Suite
 from agents.suite import suite_evaluation
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
 from slam_gym.weights import load, write
+from slam_gym.world.floor_plan_file import save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
 from tests.agents.evaluation import timeless
 
 NEW, RESUMED = ({"jobs": 1, "resume": resume} for resume in (False, True))
@@ -69,6 +73,17 @@ def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown
     first = [("a", 1), ("b", 1), ("a", 3)]
     assert list(zip(again.frame["name"], again.frame["episode"]))[:3] == first and len(again.frame) == 7
     assert again.names == ["a", "b"] and again.metadata["complete"]
+
+
+def test_scenarios_on_one_floor_plan_are_told_apart_and_names_stay_what_they_are(tmp_path):
+    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), tmp_path / "two.json")
+    loops = [replace(SMALL, scenario=name, floor_plan=str(tmp_path / "two.json")) for name in ("building", "drift-1")]
+    keys = [task.keys[0].setting for task in driver_evaluation([Driver("random")], loops, range(1)).tasks]
+    assert keys == ["two.json", "two.json as drift-1"]
+    named = counting([Task([Key("NA", "null", 0)], partial(count, 0, "a", False))])
+    carry_out(named, tmp_path / "out", **NEW)
+    frame = carry_out(named, tmp_path / "out", **RESUMED).frame
+    assert frame[["name", "setting", "model"]].to_numpy().tolist() == [["NA", "null", ""]]
 
 
 @pytest.mark.parametrize("program", [["slam-gym", "evaluate"], ["agents/evaluate.py"]])

@@ -65,28 +65,6 @@ def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_pla
     assert not Table("", "", [LOWER], {"a": {"error": 0.1}, "b": {"error": 0.2}}).bold["error"]  # each from one run
 
 
-def test_differences_are_bold_where_they_exclude_zero():
-    rows = {"a": {"f1": Interval(0.1, 0.05, 0.2)}, "b": {"f1": Interval(0.1, -0.05, 0.2)}, "c": {}}
-    assert Table("", "who", [Column("f1", "F1", 3)], rows, differences=True).bold == {"f1": {"a"}}
-
-
-@pytest.mark.parametrize(
-    ("value", "digits", "signed", "told"),
-    [
-        (Interval(0.5, 0.25, 0.75), 2, False, ("0.50", "0.25, 0.75")),
-        (Interval(math.nan, math.nan, math.nan), 2, False, ("–", "")),
-        (Interval(-0.0001, -0.5, 0.5), 3, True, ("+0.000", "−0.500, +0.500")),
-        (7, 0, False, ("7", "")),
-        (math.inf, 1, False, ("∞", "")),
-        (23456.7, 1, False, ("2e+04", "")),
-        (23456.7, 0, False, ("23457", "")),
-        (None, 1, False, ("", "")),
-    ],
-)
-def test_values_as_text(value, digits, signed, told):
-    assert cell(value, digits, signed) == told
-
-
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_a_table_fits_the_terminal_and_no_header_is_cut(width, capsys):
     columns = [Column(f"scenario-{k}", f"scenario-{k}", 3) for k in range(9)] + [Column("rest", "rest", 1)]

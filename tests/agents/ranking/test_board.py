@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from agents.leaderboard import MARKS, app, with_tables
 from agents.ranking.board import BASELINES, Entry, folders_in, markdown, read_entries, rows
-from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol, column_of
+from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol, column_of, leaderboard_evaluation
 from slam_gym.scenarios import get_scenario, world_generator
 from tests.agents import typed
 
@@ -158,6 +158,12 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     leaderboard("--entry", MINE, "--role", "associator")
     for entry, again in zip(before, read_entries(folders_in(board))[0], strict=True):
         pd.testing.assert_series_equal(entry.losses, again.losses)
+
+
+def test_the_file_of_an_entry_is_part_of_it(tmp_path):
+    (tmp_path / "mine.npz").write_bytes(b"weights")
+    (models,) = leaderboard_evaluation(str(tmp_path / "mine.npz"), Protocol("associator")).about["models"].values()
+    assert models["sha256"] == hashlib.sha256(b"weights").hexdigest()
 
 
 @pytest.mark.parametrize(

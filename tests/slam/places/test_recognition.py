@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
 from slam_gym.geometry import observe
-from slam_gym.mapping.covisibility import Edges, graph_of
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.places.recognition import RecognitionSpec, as_scan, recognise
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
@@ -66,7 +66,9 @@ def test_a_part_of_a_dense_map_is_recognised_by_default(seed: int) -> None:
     rng, n, pose = np.random.default_rng(seed), 1600, np.array([20.0, 15.0, 2.0])
     points = np.argwhere(np.ones((40, 40))) + rng.uniform(-0.4, 0.4, (n, 2))
     pairs = np.sort(cKDTree(points).query_pairs(2.5, output_type="ndarray"), axis=1)
-    graph, near = graph_of(n, Edges(pairs, np.ones(len(pairs), np.int64))), np.hypot(*observe(pose, points).T).argsort()
+    graph, near = CovisibilityGraph(), np.hypot(*observe(pose, points).T).argsort()
+    graph.add(n)
+    graph.link(pairs)
     old, new = seen_once(points, rng), seen_once(observe(pose, points[near[:20]]), rng)
     found = recognise(new, np.arange(20), old, graph, np.arange(n), RecognitionSpec())
     assert found is not None and found.pairings >= 18
