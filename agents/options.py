@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 DRIFTING = ("office", "drift-1", "drift-2", "drift-3", "aliased-drift")
 """The scenarios in which an associator is trained."""
-ON_A_FLOOR = "building"
-"""The default scenario for a floor plan file."""
 
 Role = Literal["agent", "associator", "relocator"]
 """What an entry of the leaderboard is."""
@@ -42,7 +40,7 @@ class Scenes:
 
     def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> "list[ExploreArguments]":
         """Arguments of Explore-v0 for each scenario of the options, or else of `scenarios`."""
-        from agents.evaluation.episodes import ExploreArguments
+        from agents.evaluation.episodes import ON_A_FLOOR, ExploreArguments
 
         floor = str(self.floor_plan.resolve()) if self.floor_plan else None
         names, changes = self.scenario or ([ON_A_FLOOR] if floor else scenarios), parsed_overrides(self.overrides)

@@ -19,8 +19,10 @@ from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import Metered, contenders, hashes_of, metered
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record, stem
-from agents.options import ON_A_FLOOR
 from slam_gym.slam.relocate import SEARCH
+
+ON_A_FLOOR = "building"
+"""The default scenario for a floor plan file."""
 
 
 @dataclass(frozen=True)
