@@ -412,10 +412,9 @@ def check_contents(m: StochasticMap, covariance: Array) -> None:
     ids, variances, diagonal = m.ids, m.size_variances, covariance.diagonal()
     if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
         raise ValueError("counted, step, next_id: not those of a map")
-    if (diagonal < 0.0).any() or not np.allclose(covariance, covariance.T):
-        raise ValueError("covariance: is none")
-    sigmas = np.sqrt(diagonal)
-    if (np.abs(covariance) > (1.0 + _ROUNDING) * np.outer(sigmas, sigmas) + _ROUNDING * diagonal.max()).any():
+    sigmas = np.sqrt(np.maximum(diagonal, 0.0))
+    greatest = (1.0 + _ROUNDING) * np.outer(sigmas, sigmas) + _ROUNDING * diagonal.max()
+    if (diagonal < 0.0).any() or not np.allclose(covariance, covariance.T) or (np.abs(covariance) > greatest).any():
         raise ValueError("covariance: is none")
     if (variances < 0.0).any():
         raise ValueError("sized: a variance is negative")

@@ -33,10 +33,10 @@ from slam_gym.types._fields import IntArray as IntArray
 SPURIOUS = -1
 """The source of a measurement that comes from no true feature."""
 
-_EXACT = 1e-12  # [m²] variance of an exact measurement
-
 UNLABELLED = -2
 """The source of a measurement without a label (recordings only)."""
+
+_EXACT = 1e-12  # [m²] variance of an exact measurement
 
 ScanArrays = tuple[Array, Array, Array, Array, IntArray]
 """Points, covariances, sizes, size variances and kinds of a scan, as compiled functions take them."""
