@@ -2,7 +2,8 @@
 
 numba invalidates a cached function only when its own file changes. An edit of a function that it calls in another file
 would leave the old machine code in use. Here the folder is named by a hash of all sources, so that any edit compiles
-everything again. The folders lie in the user's cache directory, or in `NUMBA_CACHE_DIR` if that is set.
+everything again, and installations of the same sources share it. The folders lie in the user's cache directory, or in
+`NUMBA_CACHE_DIR` if that is set.
 `NUMBA_DISABLE_JIT=1` runs all loops as plain Python.
 """
 
@@ -70,10 +71,27 @@ def ready() -> int:
     return 0 if _config.DISABLE_JIT else sum(map(_signatures, _loops))
 
 
+@functools.cache
+def _copied(source: str, folder: Path) -> str:
+    """A copy of a source file, named by its content. numba keeps what it compiles beside it, and so all installations
+    share it, and the folder may be moved."""
+    content = Path(source).read_bytes()
+    copy = folder / hashlib.sha256(content).hexdigest()[:20] / Path(source).name
+    if not copy.exists():
+        copy.parent.mkdir(exist_ok=True)
+        temporary = copy.with_suffix(f".{os.getpid()}")
+        temporary.write_bytes(content)
+        os.replace(temporary, copy)
+    return str(copy)
+
+
 def compiled(function: F, inline: bool = False, cached: bool = True) -> F:
     """numba.njit with IEEE arithmetic (no fastmath), so that results do not depend on optimisation."""
-    folder, previous = _folder() if cached else None, _config.CACHE_DIR
-    _config.CACHE_DIR = str(folder or previous)  # where numba caches functions decorated now
+    folder, previous = _folder() if cached and not _config.DISABLE_JIT else None, _config.CACHE_DIR
+    if folder is not None:
+        code = function.__code__
+        function.__code__ = code.replace(co_filename=_copied(code.co_filename, folder))
+    _config.CACHE_DIR = ""  # else numba keeps there what is decorated now
     try:
         loop: Any = numba.njit(nogil=True, error_model="numpy", forceinline=inline, cache=folder is not None)(function)
     finally:

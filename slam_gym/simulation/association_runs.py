@@ -64,11 +64,7 @@ class DrivenRun(Episode):
         # the map is empty at the first scan, so there is nothing to associate
         super().__init__(scenario, site, "nearest_neighbour", rng)
         self._commands = drive(self, driver, choices)
-
-    @property
-    def scans(self) -> int:
-        """Number of scans so far, including the first one at the start."""
-        return self.ticks + 1
+        self.scans = 1  # so far, with the first one at the start
 
     @property
     def length(self) -> int:
@@ -78,6 +74,7 @@ class DrivenRun(Episode):
     def next_scan(self) -> None:
         """Drive for one tick, towards a new goal if the last one has ended, and take a scan."""
         self.prediction = self.begin_tick(*next(self._commands))
+        self.scans += 1
 
     def associate(self, hypothesis: Hypothesis) -> None:
         """Complete the SLAM step with the `hypothesis` on the current scan."""

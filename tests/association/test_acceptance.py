@@ -127,9 +127,6 @@ def test_a_probability_that_is_none_is_refused():
         min_pairings(scan, landmarks, probability=0.0)
 
 
-GATE = 9.21  # χ² of two degrees of freedom at 0.99
-
-
 def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, Prediction]:
     """A map of n features that were measured from poses less and less certain, and what it predicts of them."""
     m, half = StochasticMap(MapSpec(confirmations=1)), n // 2

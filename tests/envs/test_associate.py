@@ -169,7 +169,7 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
 
 @pytest.mark.parametrize("scenario", ["corridor", "office-small", short(150, "crowd")])
 def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
-    env, looks, hid = associate(scenario, candidates=2, compatibility="individual"), [], 0
+    env, hid = associate(scenario, candidates=2, compatibility="individual"), 0
     for observation, reward, over, truncated, info in episode(env, seed=1):
         assert env.observation_space.contains(observation)
         assert type(reward) is float
@@ -179,12 +179,12 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
         assert info["action_mask"][env.K]
         assert over or info["action_mask"].sum() >= 2, "a level with one legal branch is played by the environment"
         assert -1 <= info["truth"]["action"] <= env.K
-        looks.append(info["look"])
+        assert info["look"] == len(env.run.estimates) + (not over), "the scan to be decided counts"
+        assert observation["budget"] == pytest.approx(1 - info["look"] / env.run.length)
         hid += info["hidden"]
     assert over
     assert env.action_masks().tolist() == [False, False, True]
-    assert looks == sorted(looks)
-    assert looks[-1] == env.run.length
+    assert info["look"] == env.run.length
     assert hid > 0 or scenario != "corridor"
 
 
