@@ -3,7 +3,7 @@ the same scans, with one number per capability; `--recording` runs them over a r
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -75,7 +75,8 @@ def main(
         if film:
             from agents.reports.film import films_of  # imports ffmpeg and pygame, which only films need
 
-            films = films_of([Driver(loop.driver)], loops[0], loop.seed, out, names)
+            filmed = replace(loops[0], relocation=searches[-1])
+            films = films_of([Driver(loop.driver)], filmed, loop.seed, out, names)
     evaluate(evaluation, execution, out, films)
 
 

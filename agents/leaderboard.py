@@ -50,7 +50,7 @@ def main(
 
 def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> Path:
     """Evaluate the entry by the protocol, or by the rest of it; returns the folder of its results."""
-    from agents.evaluation.pipeline import METADATA, carry_out
+    from agents.evaluation.pipeline import carry_out, unfinished
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
@@ -58,7 +58,7 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
         process(role, entry)  # raises for an invalid entry, before anything is written
     name = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execution.output or board / name
-    resume = execution.resume or (out / METADATA).exists()
+    resume = execution.resume or unfinished(out)  # what is finished may be of other code of the same name
     frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, execution.jobs, resume).frame
     failed = frame["failed"].dropna() if "failed" in frame else ()
     if len(failed):

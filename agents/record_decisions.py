@@ -80,7 +80,7 @@ def main(
     for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
         ends = np.arange(1, len(e.actions) + 1) == len(e.actions)
         steps, infos = (e.observations, e.actions, e.rewards), {"action_mask": e.masks, "right": e.right}
-        buffers.append(EpisodeBuffer(e.world, e.world, None, *steps, ends, np.zeros_like(ends), infos))
+        buffers.append(EpisodeBuffer(len(buffers), e.world, None, *steps, ends, np.zeros_like(ends), infos))
         right, total = np.mean(e.actions == e.right), e.rewards.sum()
         print(f"{each.scenario}, world {e.world}: {len(ends)} decisions, {right:.0%} right, return {total:.2f}")
     minari.create_dataset_from_buffers(

@@ -25,11 +25,13 @@ def main(
     """Train the shipped driver or associator from nothing, and compare."""
     from slam_gym import weights
 
+    out = output or results_folder("reproduce", resume=False)
+    out.mkdir(parents=True, exist_ok=True)  # before a training of minutes or hours
     module = importlib.import_module(f"agents.learning.{target}")
     trained: weights.Weights = module.reproduce(
         quick, f"slam-gym reproduce {target}", lambda text: print(text, flush=True)
     )
-    path = (output or results_folder("reproduce", resume=False)) / f"{target}.npz"
+    path = out / f"{target}.npz"
     weights.write(path, trained)
     print(f"wrote {path}")
     lines, outside = compared(trained.card.metrics, {} if quick else weights.card_of(target).metrics)

@@ -43,7 +43,7 @@ def main(
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
         mapped = map_log(recording, associator, slam_for(recording), search_of(relocation), in_world=False)
         slam, poses, doubted = mapped.slam, mapped.poses, mapped.doubted
-        base = recording.name.replace("/", "-")
+        base = Path(log).stem if Path(log).is_file() else recording.name.replace("/", "-")
         files = [output / f"{base}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
         replaced, tables = [file for file in files if file.exists()], []
         for number, m in enumerate(slam.maps):

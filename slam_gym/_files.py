@@ -42,12 +42,17 @@ def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of `path` once it is written completely; else `path` stays as it is."""
+    """A file that takes the place of `path` once it is written completely; else `path` stays as it is.
+
+    Raises OSError, naming `path`.
+    """
     scratch = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with scratch.open("wb") as file:
             yield file
         scratch.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         scratch.unlink(missing_ok=True)
 

@@ -84,7 +84,9 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
     cls = find_agent(name)
     if hasattr(cls, "load") and model is None:
         raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; slam-gym train makes one)")
-    agent = cls.load(Path(model), trust=trust) if model is not None and hasattr(cls, "load") else cls()
+    if not hasattr(cls, "load") and model is not None:
+        raise ValueError(f"agent {name!r} takes no model file")
+    agent = cls() if model is None else cls.load(Path(model), trust=trust)
     if missing := [part for part in ("name", "action", "reset", "act") if not hasattr(agent, part)]:
         raise ValueError(f"agent {name!r} has no {' and no '.join(missing)}: see agents.drivers.base.Agent")
     return cast(Agent, agent)

@@ -127,7 +127,12 @@ def run_episode(
     decisions, ticks, total, ended = 0, 0, 0.0, False
     start = time.perf_counter()
     while not ended:
-        observation, reward, terminated, truncated, info = env.step(agent.act(observation, visible(info)))
+        try:
+            action = agent.act(observation, visible(info))
+        except Exception as error:
+            error.add_note(f"raised by agent {agent.name}")
+            raise
+        observation, reward, terminated, truncated, info = env.step(action)
         ended = terminated or truncated
         decisions, ticks, total = decisions + 1, ticks + int(info["ticks"]), total + float(reward)
         if ended or ticks - curve["ticks"][-1] >= CURVE_STEP:
@@ -210,7 +215,7 @@ def driver_evaluation(
         Task([Key(driver.agent, loop.world, k, driver.model)], partial(drive, driver, loop, None, k))
         for loop, k, driver in product(loops, episodes, drivers)
     ]
-    models = hashes_of(*(driver.model for driver in drivers), loops[0].floor_plan)
+    models = hashes_of(*(driver.model for driver in drivers), loops[0].floor_plan, loops[0].associator)
     for name in {driver.model for driver in drivers if driver.model}:
         models[name] |= _training(Path(name))
     several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}

@@ -29,17 +29,18 @@ from slam_gym.mapping.smoothing import smooth
 from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
-from slam_gym.recordings import open_recordings
+from slam_gym.recordings import PUBLISHED, open_recordings
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
 from slam_gym.scenarios import slam_for
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Odometry, Truth
 
 FOLDER = "runs"  # with these files, in the folder of an evaluation
 MAX_GAP = 1.0  # [s] poses are not interpolated between samples that are farther apart
+_LEAST_NOISE = 1e-12 * np.eye(3)  # added to the covariance of a motion, which may be zero while the robot rests
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
 
 
@@ -154,9 +155,10 @@ def final_ids(slam: Slam, ids: IntArray) -> IntArray:
 def smoothed(mapped: MappedLog) -> MappedLog | None:
     """The batch least-squares solution, in poses and map, for the same pairings, started at the poses of the filter.
 
-    None where there are no pairings, or a covariance of the log is not positive definite.
+    None where there are no pairings, the iterations run out, or a covariance of a measurement is not positive definite.
     """
-    odometry, scans, _ = zip(*mapped.log.steps())
+    motions, scans, _ = zip(*mapped.log.steps())
+    odometry = [Odometry(u.motion, u.covariance + _LEAST_NOISE) for u in motions]
     pairings = np.split(mapped.measurements["feature"].to_numpy(), mapped.log.starts[1:-1])
     try:
         best = smooth(odometry, scans, pairings, mapped.poses)
@@ -272,11 +274,20 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
 def logs_of(options: Recorded, recording: str) -> list[Recording]:
     """All logs of a recording, prepared for mapping by the options.
 
-    Raises as `open_recordings` does, and ValueError for --robots with another recording than mrclam.
+    Raises as `open_recordings` does, and ValueError for an option that is for other recordings, and for a reference of
+    another time than the log.
     """
     if options.robots and recording != "mrclam":
         raise ValueError(f"--robots is for mrclam, not for {recording}")
+    if options.reference and not recording.endswith(".g2o"):
+        raise ValueError(f"--reference is for .g2o files, not for {recording}")
+    if options.data and recording not in PUBLISHED:
+        raise ValueError(f"--data is for {', '.join(PUBLISHED)}, not for {recording}")
     logs = open_recordings(recording, options.data, options.robots, reference=options.reference)
+    for log in logs:
+        during = (log.reference_times >= log.times[0]) & (log.reference_times <= log.times[-1])
+        if len(during) and not during.any():
+            raise ValueError(f"{log.name}: the reference lies outside the times of the log; is its clock another one?")
     return [surveyed(log.every(options.every) if options.every > 1 else log) for log in logs]
 
 

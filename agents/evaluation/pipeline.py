@@ -115,6 +115,12 @@ def carry_out(evaluation: Evaluation, out: Path, jobs: int | None = None, resume
     return read_results(out)
 
 
+def unfinished(folder: Path) -> bool:
+    """Whether a folder contains an evaluation that was not finished. Raises ValueError where it is damaged."""
+    results = _read(folder)
+    return results is not None and not results.metadata["complete"]
+
+
 def run_all(calls: Sequence[Callable[[], Result]], jobs: int | None) -> Iterator[Result]:
     """The results of calls that can be pickled, in the order in which they finish. They run in `jobs` processes, by
     default one per core, with one thread each."""

@@ -40,11 +40,8 @@ def results_folder(name: str, resume: bool) -> Path:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text file completely or not at all. Raises OSError, naming the file."""
-    try:
-        with replacing(path) as file:
-            file.write(text.encode())
-    except OSError as error:
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    with replacing(path) as file:
+        file.write(text.encode())
 
 
 @contextmanager

@@ -45,7 +45,8 @@ _ALL = (
     Column("coverage", "coverage", 3, "higher"), Column("anees", "ANEES", 2),
     Column("map_lost", "lost", 3, "lower", rare=True), Column("duplicates", "dupl.", 1, "lower"),
     Column("ticks", "ticks", 0), Column("ticks_per_second", "ticks/s", 0),
-    Column("recovered", "recovered", 2, "higher"), Column("relocations_wrong", "wrong reloc.", 1, "lower"),
+    Column("recovered", "recovered", 2, "higher", rare=True),
+    Column("relocations_wrong", "wrong reloc.", 1, "lower", rare=True),
     Column("ticks_astray", "ticks astray", 0, "lower"),
     # of associations and searches
     Column("precision", "precision", 3, "higher"), Column("recall", "recall", 3, "higher"),

@@ -125,16 +125,21 @@ class EntryAgent:
             raise self._process.refuse(error) from None
 
 
+def _decisions(answer: Any, kind: type[np.generic]) -> NDArray[Any]:
+    """An answer for each measurement, in its own type, or in that of `kind` for an empty scan."""
+    return np.array(answer) if answer else np.empty(0, kind)
+
+
 def associate_in(process: EntryProcess, scan: Scan, prediction: Prediction) -> Hypothesis:
     """The hypothesis of an associator in a process of its own."""
     answer = process.ask(scan, prediction)
     try:
         new, known = answer["new"], answer["experience"]
         hypothesis = Hypothesis(
-            np.array(answer["features"]),
+            _decisions(answer["features"], np.int64),
             float(_numbers(answer, "joint_distance", ())),
             int(answer["dof"]),
-            new=None if new is None else np.array(new),
+            new=None if new is None else _decisions(new, np.bool_),
             exclusive=bool(answer["exclusive"]),
             experience=None if known is None else Experience(
                 float(_numbers(known, "unpaired", ())), float(_numbers(known, "area", ())),
@@ -150,7 +155,11 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
     """The relocation of a relocator in a process of its own."""
     answer = process.ask(scan, landmarks, locality)
     try:
-        features, pose, covariance = np.array(answer["features"]), np.full(3, np.nan), np.full((3, 3), np.nan)
+        features, pose, covariance = (
+            _decisions(answer["features"], np.int64),
+            np.full(3, np.nan),
+            np.full((3, 3), np.nan),
+        )
         distance, located = 0.0, (features != UNPAIRED).sum() >= 2
         check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
         if located:

@@ -135,11 +135,10 @@ def capability_bars(scores: Mapping[str, Mapping[str, Interval]], colour: Colour
 def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colour: Colours) -> Figure:
     """Score against the knob, with levels at equal distances and interval bands; `curves` are name → knob → score."""
     figure = _figure(3.5)
-    axis = figure.subplots()
+    axis, knobs = figure.subplots(), list(max(curves.values(), key=len))  # an unfinished curve has not all of them
     for (name, curve), marker in zip(curves.items(), cycle(MARKERS)):
-        x = np.arange(len(curve))
-        _line(axis, x, curve.values(), name, colour[name], marker)
-        axis.set_xticks(x, [f"{knob:g}" for knob in curve])
+        _line(axis, np.array([knobs.index(knob) for knob in curve]), curve.values(), name, colour[name], marker)
+    axis.set_xticks(range(len(knobs)), [f"{knob:g}" for knob in knobs])
     axis.set(xlabel=label, ylabel="score", ylim=(-0.02, 1.04))
     figure.legend(loc="outside right upper")
     return figure

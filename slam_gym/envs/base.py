@@ -3,7 +3,7 @@
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, cast
@@ -12,7 +12,16 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
+from slam_gym.scenarios import (
+    SPLITS,
+    Scenario,
+    floor_budget,
+    from_floor_plan,
+    get_scenario,
+    overridden,
+    world_generator,
+    world_seed,
+)
 from slam_gym.scenarios.scenario import Plain
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.validation import one_of
@@ -87,7 +96,10 @@ class Settings:
                 raise ValueError(f"resolution={self.resolution} goes with a floor_plan, and there is none")
             return chosen_scenario("office" if self.scenario is None else self.scenario, self.overrides)
         like = chosen_scenario("building" if self.scenario is None else self.scenario)
-        return chosen_scenario(from_floor_plan(self.floor_plan, self.resolution, like), self.overrides)
+        scenario = chosen_scenario(from_floor_plan(self.floor_plan, self.resolution, like), self.overrides)
+        if not self.overrides or "budget" in self.overrides:
+            return scenario
+        return replace(scenario, budget=floor_budget(scenario.generator(np.random.default_rng()), scenario))
 
 
 class BaseEnv(gym.Env[Observation, Any], ABC):
@@ -135,9 +147,13 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), True, []
-        observation = self._begin(self._draw_world(options))
-        self._changed()
-        info = self._info()
+        try:
+            observation = self._begin(self._draw_world(options))
+            self._changed()
+            info = self._info()
+        except BaseException:
+            self._snapshot = None  # there is no episode to go back to
+            raise
         self._failed = False
         return observation, info
 
@@ -148,9 +164,10 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         outside the space; neither changes anything. If an error occurs within the step, for example in an associator,
         the episode ends with it: every further step raises RuntimeError, and `snapshot` returns the state before it.
         """
-        history = self._started(self._snapshot)
         if self._failed:
-            raise RuntimeError("the last call failed half-way: call reset(), or restore(snapshot()) to go back")
+            back = "" if self._snapshot is None else ", or restore(snapshot()) to go back"
+            raise RuntimeError(f"the last call failed half-way: call reset(){back}")
+        history = self._started(self._snapshot)
         if self.over:
             raise RuntimeError("the episode is over: call reset()")
         action = self._checked(action)

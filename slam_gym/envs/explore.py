@@ -1,5 +1,6 @@
 """`slam_gym/Explore-v0`: the agent drives, the associator is an argument, and the reward measures the map."""
 
+import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -209,9 +210,10 @@ class ExploreEnv(BaseEnv):
             return super()._checked(action)
         if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
             first, second = action.tolist() if isinstance(action, np.ndarray) else action
-            forward, turn = float(first), float(second)
-            if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
-                return forward, turn
+            with contextlib.suppress(TypeError, ValueError):  # of what is no number
+                forward, turn = float(first), float(second)
+                if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
+                    return forward, turn
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:

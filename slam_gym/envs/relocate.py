@@ -33,7 +33,7 @@ class RelocateSettings(Settings):
     sizes: bool = True
     outside: float = 0.25
     kidnappings_per_map: int = 20
-    associator: str | Associator = "jcbb"
+    associator: str | Associator | None = None
     node_cost: float = 0.001
     wrong_cost: float = 1.0
     position_tolerance: float = 0.3
@@ -105,7 +105,7 @@ class RelocateEnv(BaseEnv):
     - `outside`: probability that the robot is not in the map; `kidnappings_per_map`: successive episodes in one world.
     - `node_cost`, `wrong_cost`: costs of a node and of a wrong answer, where a right answer earns 1;
       `position_tolerance` [m] and `heading_tolerance` [rad]: largest errors of a right pose.
-    - `associator`: the associator with which the map is made.
+    - `associator`: the associator with which the map is made, by default that of the scenario.
     """
 
     settings = RelocateSettings
@@ -120,7 +120,8 @@ class RelocateEnv(BaseEnv):
         self.walk_spec = WalkSpec(
             settings.candidates, settings.order, settings.node_limit, settings.sizes, self.scenario.slam.map.confidence
         )
-        resolve_associator(settings.associator)  # raises for an unknown one
+        self._associator = settings.associator or self.scenario.associator
+        resolve_associator(self._associator)  # raises for an unknown one
         self.measurements = self.scenario.sensor.max_features
         shapes = walk_shapes(settings.candidates, self.measurements)
         self.observation_space = spaces.Dict({name: box(rows * columns) for name, (rows, columns) in shapes.items()})
@@ -172,7 +173,7 @@ class RelocateEnv(BaseEnv):
 
     def _begin(self, world: int) -> Observation:
         if world not in self._maps:  # the last map is kept, since several episodes have it
-            made = MappedWorld(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
+            made = MappedWorld(self.scenario, self.split, world, self._associator, self._elsewhere)
             self._maps = {world: made}
         self.mapped = self._maps[world]
         if self.mapped.elsewhere is None and self.arguments.outside > 0.0:

@@ -61,6 +61,12 @@ class RecordEveryTick(gym.wrappers.RecordVideo):
             raise ValueError(f"RecordEveryTick: needs render_mode='rgb_array_list', not {env.render_mode!r}")
         super().__init__(env, *arguments, **named)
 
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        outcome = super().step(action)
+        if not self.recording:
+            self.env.render()  # forgets the pictures of this step
+        return outcome
+
     def _capture_frame(self) -> None:
         frames: Any = self.env.render()
         self.recorded_frames += frames

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from slam_gym.geometry import compose, relative, wrap_angles
 from slam_gym.types import Array, IntArray, Odometry, Scan
+from slam_gym.validation import indices
 
 _DAMPING = 1e-8  # of the first iteration, as a fraction of the mean information: all σ may have any common factor
 _ROUNDING = 1e-15  # of χ²
@@ -41,9 +42,8 @@ class Smoothed:
         It takes one sparse factorisation, stored for the next call, and two triangular solves per column. The
         covariance of the first pose is zero. Raises ValueError where a pose or a feature does not exist.
         """
-        steps, features = np.atleast_1d(np.asarray(poses, np.int64)), np.atleast_1d(np.asarray(ids, np.int64))
-        if ((steps < 0) | (steps >= len(self.poses))).any():
-            raise ValueError(f"poses: {steps.tolist()}, expected 0 … {len(self.poses) - 1}")
+        steps = indices("poses", np.atleast_1d(poses), len(self.poses))
+        features = indices("ids", np.atleast_1d(ids), np.iinfo(np.int64).max)
         if len(unknown := np.setdiff1d(features, self.ids)):
             raise ValueError(f"ids: no measurement is paired with {unknown[:5].tolist()}")
         rows = 3 * (len(self.poses) - 1) + 2 * np.searchsorted(self.ids, features)
@@ -55,6 +55,9 @@ class Smoothed:
         columns[chosen, np.arange(len(free))] = 1.0
         covariance[np.ix_(free, free)] = self._factor.solve(columns)[chosen]
         return 0.5 * (covariance + covariance.T)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_factor"}  # which cannot be pickled
 
     @cached_property
     def _factor(self) -> SuperLU:

@@ -45,7 +45,7 @@ class MapSpec(Checked):
     """Settings of the estimator."""
 
     confidence: float = 0.99  # of the χ² gates in data association
-    iterations: int = 3  # most iterations of an update; 1: linearise at the prior only
+    iterations: int = 10  # most iterations of an update, which mostly takes one to three; 1: linearise at the prior
     right_invariant: bool = True  # use the right-invariant error (see `mapping.update`); False: the error of x itself
     second_order: bool = True  # predict to second order in the error of the heading (see `mapping.measurement`)
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
@@ -236,15 +236,15 @@ class StochasticMap:
     def update(self, scan: Scan, features: IntArray) -> None:
         """Joint EKF update with every pairing (i, features[i]); features (m,) are map indices, or UNPAIRED.
 
-        Raises ValueError, before the map is changed, where a feature does not exist, or where a paired measurement is
-        not finite or has an invalid covariance.
+        Raises ValueError, before the map is changed, where a feature does not exist, where a paired measurement is not
+        finite or has an invalid covariance, and where the covariance of the innovations is singular.
         """
         features = indices("features", features, self.n, UNPAIRED)
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-        self.moved()
         measured, passes = (scan.points, scan.covariances), (self.spec.iterations, self.spec.settled)
         update(self._x, self._P, self.n, measured, features, passes, self.spec.right_invariant)
+        self.moved()
         ekf.record(self.arrays, self.step, scan.arrays, features)
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:

@@ -44,7 +44,8 @@ def update(
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
     With more than one iteration, H and ν are recomputed at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
     iteration would move the state by less than `settled` of its own σ. This is Gauss–Newton from the prior x, which
-    minimises the cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
+    minimises the cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993): exactly for ordinary
+    errors, nearly for right-invariant ones, whose H is that of a small correction of the heading.
 
     Arguments:
         scan: points (m, 2) and their covariances (m, 2, 2).

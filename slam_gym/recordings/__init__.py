@@ -59,12 +59,12 @@ def open_recordings(
         return [_mrclam.mrclam(folder, robot) for folder in sets for robot in robots or _mrclam.ROBOTS]
     read_g2o = partial(g2o, reference=reference)
     readers: dict[str, Callable[[Path], Recording]] = {".npz": load, ".csv": from_csv, ".g2o": read_g2o, ".txt": isam}
-    if path.suffix not in readers:
-        known = ", ".join([*PUBLISHED, *(f"FILE{suffix}" for suffix in readers)])
+    if (suffix := path.suffix.lower()) not in readers:
+        known = ", ".join([*PUBLISHED, *(f"FILE{known}" for known in readers)])
         raise ValueError(f"unknown recording {name!r}; known: {known}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: not there")
-    return [readers[path.suffix](path)]
+    return [readers[suffix](path)]
 
 
 def _folder(name: str, data: str | Path | None) -> Path:
@@ -84,7 +84,7 @@ def _sets(folder: Path) -> list[Path]:
     """The sets of MR.CLAM in a folder, or the folder itself if it is a set."""
     if (folder / "Barcodes.dat").is_file() or (folder / "Barcodes.dat.gz").is_file():
         return [folder]
-    found = sorted(path.parent for path in folder.glob("*/Barcodes.dat*"))
+    found = sorted({path.parent for path in folder.glob("*/Barcodes.dat*")})
     if not found:
         raise FileNotFoundError(f"recording 'mrclam': {folder} holds no set (MRCLAM_Dataset…). {_mrclam.SOURCE}")
     return found

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from slam_gym._files import content_of
-from slam_gym.recordings.recording import Recording, RecordingError, naming, starts_of
+from slam_gym.recordings.recording import LARGEST, Recording, RecordingError, naming, starts_of
 from slam_gym.types import UNLABELLED, Array, IntArray, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
@@ -139,6 +139,8 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
     for name, often in (("turn", "degrees, or absolute headings"), ("bearing", "degrees")):
         beyond = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
         refused[f"column {name!r} [rad] is more than a turn; are these {often}?"] = beyond
+    for name in (name for name in (*MOTION, *measured, "size") if name in table):
+        refused[f"column {name!r} is above {LARGEST:.0e}"] = np.abs(table[name]) > LARGEST
     for name in MOTION:
         again = ~empty[name] & (table[name] != table[name][of_step])
         refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]

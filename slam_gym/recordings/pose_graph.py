@@ -61,7 +61,7 @@ def isam(path: str | Path) -> Recording:
 def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[_Entry]]:
     """The entries of a file, by tag."""
     entries: dict[str, list[_Entry]] = {tag: [] for tag in sizes}
-    for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8", errors="replace").split("\n"), 1):
+    for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8-sig", errors="replace").split("\n"), 1):
         tag, *words = line.split("#", 1)[0].split() or [""]
         if not tag or (tag == "FIX" and "VERTEX_SE2" in sizes):  # a vertex that an optimiser holds fixed
             continue

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._files import MAX_BYTES, array_of, replacing, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
@@ -27,7 +27,7 @@ _TEXTS = ("name", "source", "terms")
 _INTEGERS = ("starts", "sources", "landmark_ids")
 _NUMBERS = ("range", "field_of_view")
 _LARGEST_IDENTITY = 1 << 20
-_LARGEST = 1e9  # [m] greatest coordinate or standard deviation: squares of larger ones may overflow later
+LARGEST = 1e9  # [m] greatest coordinate or standard deviation: squares of larger ones may overflow later
 _TOLERANCE = 1e-9  # for asymmetry and negative eigenvalues, relative to the largest entry
 
 
@@ -75,9 +75,11 @@ class Recording:
     field_of_view: float  # [rad] of the sensor, centred on the heading
 
     def __post_init__(self) -> None:
-        for name in ("sizes", "size_variances"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.full(len(self.points), math.nan))
+        for name in (array.name for array in fields(self) if array.name not in (*_TEXTS, *_NUMBERS)):
+            given = getattr(self, name)
+            unknown = given is None and name in ("sizes", "size_variances")
+            values = np.full(len(self.points), math.nan) if unknown else np.asarray(given)
+            object.__setattr__(self, name, _as_stored(name, values))
         _validate(self)
         if max(self.sources.max(initial=0), self.landmark_ids.max(initial=0)) >= _LARGEST_IDENTITY:
             known = np.unique(np.concatenate([self.sources[self.sources >= 0], self.landmark_ids]))
@@ -186,9 +188,17 @@ def _field_of(name: str, content: bytes) -> Any:
         if value.shape != ():
             raise RecordingError(f"field {name!r} has shape {value.shape}, expected one text or number")
         return value.item() if name in _TEXTS else float(value)
-    if name in _INTEGERS and value.dtype == np.uint64 and value.size and value.max() > np.iinfo(np.int64).max:
-        raise RecordingError(f"field {name!r} holds {value.max()}, which is above 2⁶³ − 1")
-    return np.ascontiguousarray(value, dtype=np.int64 if name in _INTEGERS else np.float64)
+    return value
+
+
+def _as_stored(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """A field as a contiguous array of its type. Raises RecordingError for values that are not of its kind."""
+    whole = name in _INTEGERS
+    if values.size and values.dtype.kind not in ("iu" if whole else "iuf"):
+        raise RecordingError(f"field {name!r} has entries of type {values.dtype}")
+    if whole and values.dtype == np.uint64 and values.size and values.max() > np.iinfo(np.int64).max:
+        raise RecordingError(f"field {name!r} holds {values.max()}, which is above 2⁶³ − 1")
+    return np.ascontiguousarray(values, dtype=np.int64 if whole else np.float64)
 
 
 def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
@@ -209,8 +219,10 @@ def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """(k, 3) poses at the times `at` (k,), by linear interpolation of `poses` (t, 3) at `times` (t,).
 
-    All headings are NaN if any of `poses` has none.
+    All headings are NaN if any of `poses` has none. At the same times the result is `poses`, even where times repeat.
     """
+    if np.array_equal(times, at):
+        return poses.copy()
     headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
     x, y, heading = (np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], headings))
     return np.column_stack([x, y, wrap_angles(heading)])
@@ -227,12 +239,15 @@ def _validate(log: Recording) -> None:
         found = np.shape(getattr(log, name))
         if found != shape:
             raise RecordingError(f"field {name!r} has shape {found}, expected {shape}")
+    for name in _TEXTS:
+        if not isinstance(getattr(log, name), str):
+            raise RecordingError(f"field {name!r} is {getattr(log, name)!r}, expected a text")
     for name in ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks"):
         _refuse(name, ~np.isfinite(getattr(log, name)), "is not finite")
     for name in ("motions", "points", "landmarks", "sizes"):
-        _refuse(name, np.abs(getattr(log, name)) > _LARGEST, f"is larger than {_LARGEST:.0e}")
+        _refuse(name, np.abs(getattr(log, name)) > LARGEST, f"is larger than {LARGEST:.0e}")
     for name in ("motion_covariances", "covariances", "size_variances"):
-        _refuse(name, np.abs(getattr(log, name)) > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
+        _refuse(name, np.abs(getattr(log, name)) > LARGEST**2, f"is larger than {LARGEST**2:.0e}")
     for name in ("motion_covariances", "covariances"):
         _refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
     try:

@@ -148,7 +148,6 @@ class Canvas:
         self.discs(points, 0.5 * broad, wall)
 
 
-@functools.lru_cache(maxsize=16)
 def _font(size: int, bold: bool) -> Any:
     pygame.font.init()
     path = pygame.font.match_font("dejavusans,liberationsans,arial,helvetica", bold=bold)

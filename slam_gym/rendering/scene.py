@@ -142,10 +142,10 @@ def paired_positions(step: SlamStep, ids: IntArray, landmarks: Array) -> Array:
 
 def _trail(poses: list[Array]) -> Array:
     """Positions (≤ _TRAIL, 2) of the poses so far, including the last; NaN where the robot was carried."""
-    every = max(1, len(poses) // _TRAIL)
-    points = np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
+    points = np.array([pose[:2] for pose in poses])
     leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
-    return np.asarray(np.insert(points, leaps, np.nan, axis=0))
+    kept = np.arange(len(points))[:: -max(1, len(points) // _TRAIL)][::-1]
+    return np.insert(points[kept], np.unique(np.searchsorted(kept, leaps)), np.nan, axis=0)
 
 
 # -- legend ----------------------------------------------------------------------------------------------------------

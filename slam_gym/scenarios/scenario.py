@@ -57,6 +57,13 @@ class Scenario(Checked):
     wall_compass: bool = False  # whether straight walls in view correct odometry
     kidnapping: KidnappingSpec | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        substep = self.robot.max_speed * self.dynamics.tick / self.dynamics.substeps
+        if substep > self.robot.radius:
+            what = f"in one substep a robot of radius {self.robot.radius:g} m moves by up to {substep:g} m"
+            raise ValueError(f"dynamics.substeps={self.dynamics.substeps}: {what}, and could pass through walls")
+
 
 def world_seed(split: str, index: int) -> int:
     """The seed of world `index` of a split. Raises ValueError for an unknown split or an index outside it."""
@@ -83,6 +90,7 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
     Raises ValueError, naming the override, for an unknown field (it lists the known ones), for a value of the wrong
     type or a number that is not finite, and for values that the dataclasses themselves reject.
     """
+    overrides = {name: value.item() if isinstance(value, np.generic) else value for name, value in overrides.items()}
     for name, value in overrides.items():
         if not isinstance(name, str):
             raise ValueError(f"override {reprlib.repr(name)}: expected the name of a field")

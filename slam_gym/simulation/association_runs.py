@@ -4,7 +4,7 @@ A run stops after every scan, before it is associated, and continues with the hy
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,8 +61,8 @@ class DrivenRun(Episode):
 
     def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
         choices = np.random.default_rng(rng.integers(2**63))  # they do not depend on the noise
-        # the map is empty at the first scan, so there is nothing to associate
-        super().__init__(scenario, site, "nearest_neighbour", rng)
+        # nothing would relocate a robot that is carried away; at the first scan there is nothing to associate
+        super().__init__(replace(scenario, kidnapping=None), site, "nearest_neighbour", rng)
         self._commands = drive(self, driver, choices)
         self.scans = 1  # so far, with the first one at the start
 

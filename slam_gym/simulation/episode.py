@@ -87,7 +87,9 @@ class Episode:
         self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
+        slam = scenario.slam
+        reach = scenario.sensor.range if slam.reach is None else slam.reach
+        spec = replace(slam, reach=reach, locality=locality and slam.locality)
         x0, y0, x1, y1 = site.plan.bounds
         corners = observe(self.base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))  # in B
         bounds = np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

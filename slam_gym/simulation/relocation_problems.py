@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from slam_gym.association.prediction import Associator
-from slam_gym.geometry import compose
+from slam_gym.geometry import compose, relative
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
 from slam_gym.simulation.association_runs import drive, nearest_frontier
@@ -57,7 +57,10 @@ class MappedWorld:
         self.sensor = episode.sensor
         elsewhere = elsewhere or scenario
         other = elsewhere.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
-        is_only_world = np.array_equal(other.walls, self.site.plan.walls)
+        plan = self.site.plan
+        is_only_world = np.array_equal(other.walls, plan.walls) and np.array_equal(
+            other.features.positions, plan.features.positions
+        )
         self.elsewhere = None if is_only_world else survey(other, elsewhere)  # another world
 
     def locality(self, kind: LocalityName | None) -> Locality | None:
@@ -105,11 +108,14 @@ def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
 
 
 def _in_map(mapped: MappedWorld, true: Array) -> Array:
-    """A true pose (3,) in B, by alignment of the true features in reach with their landmarks: drift is no error."""
+    """A true pose (3,) in B, by alignment of the true features in reach with their landmarks: drift is no error. With
+    fewer than two of them, the pose relative to the start."""
     positions = mapped.site.plan.features.positions
     known = np.flatnonzero(mapped.identities != SPURIOUS)
     offsets = positions[mapped.identities[known]] - true[:2]
     near = known[np.hypot(offsets[:, 0], offsets[:, 1]) <= mapped.sensor.spec.range]
+    if len(near) < 2:
+        return relative(mapped.base, true)
     return compose(align_se2(positions[mapped.identities[near]], mapped.landmarks.positions[near]), true)
 
 

@@ -6,7 +6,6 @@ MB, without unpickling; arrays must be finite and have the shapes that the calle
 """
 
 import functools
-import io
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._files import array_of, content_of, json_of, zip_members
+from slam_gym._files import array_of, content_of, json_of, replacing, zip_members
 
 T = TypeVar("T")
 
@@ -94,12 +93,11 @@ def cached(read: Callable[..., T]) -> Callable[..., T]:
 def write(path: Path, weights: Weights) -> None:
     """Write the `.npz` file at `path` and its card beside it. The same weights give the same bytes."""
     card = weights.card._replace(shapes={name: array.shape for name, array in weights.arrays.items()})
-    file = io.BytesIO()
-    np.savez(file, **weights.arrays)  # type: ignore[arg-type]  # a name could be an option of numpy's
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(file.getvalue())
-    text = json.dumps(card._asdict(), indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(f"{text}\n", encoding="utf-8")
+    with replacing(path) as file:
+        np.savez(file, **weights.arrays)  # type: ignore[arg-type]  # a name could be an option of numpy's
+    with replacing(path.with_suffix(".json")) as file:
+        file.write(f"{json.dumps(card._asdict(), indent=1, ensure_ascii=False)}\n".encode())
 
 
 def _path(name: str | Path) -> Path:

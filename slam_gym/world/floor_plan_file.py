@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._files import array_of, content_of, json_of
+from slam_gym._files import array_of, content_of, json_of, replacing
 from slam_gym.world.floor_plan import (
     MAX_EXTENT,
     MAX_PIXELS,
@@ -53,7 +53,8 @@ def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
             for x, y, length, width, heading in plan.furniture.tolist()
         ],
     }
-    Path(path).write_text(json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n", encoding="utf-8")
+    with replacing(Path(path)) as file:
+        file.write(f"{json.dumps(document, allow_nan=False, separators=(',', ':'))}\n".encode())
 
 
 def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorPlan:
@@ -160,6 +161,8 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
     values = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
     resolution, threshold = (_number(key, values[key]) for key in ("resolution", "free_thresh"))
     negate = values["negate"] if isinstance(values["negate"], bool) else _number("negate", values["negate"])
+    if values.get("mode", "trinary") not in ("trinary", "scale"):
+        raise FloorPlanError("mode", f"{reprlib.repr(values['mode'])} is neither trinary nor scale")
     origin = values["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
         raise FloorPlanError("origin", f"{reprlib.repr(origin)} is not [x, y, 0]")

@@ -30,7 +30,8 @@ _PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labell
 _OPENING = 0.5  # [m] passages and spikes narrower than this are closed in maps without labels
 _MIN_ROOM = 1.0  # [m²]
 _SPECK = 0.05  # [m²] smaller obstacles in maps without labels are noise
-_MIN_FLOOR = 4.0  # [m²] an enclosed part of at least this area is a floor
+_MIN_FLOOR = 4.0  # [m²] an enclosed part of at least this area is a floor,
+_MAIN_PART = 0.05  # if it is at least this fraction of the largest part of all
 _DRAWN, _MEASURED = 0.8, 1.25  # [pixels] tolerance of simplified outlines in maps with and without labels
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
@@ -136,7 +137,10 @@ def _bridged(gaps: NDArray[np.bool_], labelled: NDArray[np.bool_], longest: int)
 
 
 def _enclosed(free: Mask, resolution: float) -> Mask:
-    """The floor in a map without labels: specks are filled, spikes cut, and free space outside is dropped."""
+    """The floor in a map without labels: specks are filled, spikes cut, and free space outside is dropped.
+
+    Of the parts that do not touch the border the largest is kept; where all of them are small, the largest of all.
+    """
     _, parts, stats, _ = cv2.connectedComponentsWithStats(1 - free, connectivity=8)
     speck = stats[:, cv2.CC_STAT_AREA] * resolution**2 < _SPECK
     speck[0] = False  # component 0 is free space
@@ -148,7 +152,7 @@ def _enclosed(free: Mask, resolution: float) -> Mask:
     border = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
     inner = areas.copy()
     inner[border] = 0
-    if inner.max() * resolution**2 >= _MIN_FLOOR:
+    if inner.max() * resolution**2 >= _MIN_FLOOR and inner.max() >= _MAIN_PART * areas.max():
         areas = inner
     return _opened(np.asarray((parts == np.argmax(areas)) & (free > 0), np.uint8), _OPENING / resolution, one_part=True)
 

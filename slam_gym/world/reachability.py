@@ -37,8 +37,9 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25) -> FreeCells:
     if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
         raise ValueError(f"radius and cell must be positive lengths [m], not {radius} and {cell}")
     cell = min(cell, 1.9 * radius)
-    origin = plan.bounds[:2] - 1.5 * cell
-    columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
+    margin = max(cell, 1.01 * radius)  # the ground around the plan is connected
+    origin = plan.bounds[:2] - max(1.5 * cell, margin)
+    columns, rows = np.ceil((plan.bounds[2:] + margin - origin) / cell).astype(int) + 1
     free = np.ones((rows, columns), np.bool_)
     left, bottom = origin.tolist()
     xs, ys = left + np.arange(columns) * cell, bottom + np.arange(rows) * cell

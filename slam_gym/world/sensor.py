@@ -45,7 +45,8 @@ class SensorSpec(Checked):
 
     @property
     def sigma_halfway(self) -> float:
-        """[m] standard deviation of a measurement at half the range, along and across the view together."""
+        """[m] standard deviation of a measurement at half the range, along and across the view together,
+        without `range_sigma_ratio`."""
         return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
 
     def __post_init__(self) -> None:

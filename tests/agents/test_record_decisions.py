@@ -41,7 +41,8 @@ def test_some_decisions_are_mistakes_where_they_are_asked_for():
 def test_they_become_a_data_set(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    result = typed(app, "--episodes", 2, "--set", "budget=20", "--associator", "singles")
+    names = ("--scenario", "office-small", "hall", "--dataset", "mine-v0")
+    result = typed(app, *names, "--seed", 5, "--episodes", 1, "--set", "budget=20", "--associator", "singles")
     assert result.exit_code == 0, result.output
-    episodes = list(minari.load_dataset("slam_gym/office-small/singles-v0").iterate_episodes())
+    episodes = list(minari.load_dataset("mine-v0").iterate_episodes())
     assert len(episodes) == 2 and episodes[0].terminations[-1] and len(episodes[0].infos["right"]) > 5

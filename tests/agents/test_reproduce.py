@@ -39,3 +39,6 @@ def test_the_recordings_have_to_be_there(monkeypatch, tmp_path):
     monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
     done = CliRunner().invoke(app, ["associator", "--output", str(tmp_path)])
     assert done.exit_code == 2 and "SLAM_GYM_DATA is not set" in done.output
+    (tmp_path / "file").touch()
+    done = CliRunner().invoke(app, ["driver", "--quick", "--output", str(tmp_path / "file")])
+    assert done.exit_code == 2 and "File exists" in done.output and "epoch" not in done.output

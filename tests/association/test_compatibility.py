@@ -25,46 +25,30 @@ def test_meaningless_gates_are_refused(dof, confidence):
 
 
 @for_seeds(100)
-def test_candidates_are_the_individually_compatible_pairings(seed):
+def test_candidates_are_the_individually_compatible_pairings_of_chosen_measurements(seed):
     rng = np.random.default_rng(seed)
     m, n, noise = int(rng.integers(0, 25)), int(rng.integers(0, 40)), float(rng.choice([0.05, 0.5]))
     scan, prediction = oracles.problem(rng, m, n, spread=2.0, noise=noise)
     confidence = [0.5, 0.95, 0.99][seed % 3]
-    candidates = individual(scan, prediction, confidence)
+    chosen = rng.permutation(m)[: rng.integers(m + 1)] if seed % 4 == 0 else np.arange(m)
+    candidates = individual(scan, prediction, confidence, measurements=chosen if seed % 4 == 0 else None)
     expected = oracles.compatible(scan, prediction, confidence)
     rows = candidates.rows[candidates.slots]
-    for i, found in enumerate(expected):
-        here = slice(*candidates.starts[i : i + 2])
-        assert rows[here].tolist() == [j for _, j in found]
-        assert candidates.distances[here] == pytest.approx([d2 for d2, _ in found])
+    for level, i in enumerate(chosen):
+        here = slice(*candidates.starts[level : level + 2])
+        assert rows[here].tolist() == [j for _, j in expected[i]]
+        assert candidates.distances[here] == pytest.approx([d2 for d2, _ in expected[i]])
         assert candidates.innovations[here] == pytest.approx(scan.points[i] - prediction.positions[rows[here]])
         assert (candidates.measured[here] == i).all()
     assert candidates.rows.tolist() == sorted(set(rows.tolist()))
-
-
-@for_seeds(20)
-def test_only_chosen_measurements_are_offered_rows(seed):
-    rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, 8, 12, spread=1.5)
-    chosen = rng.permutation(8)[:5]
-    expected = oracles.compatible(scan, prediction, 0.99)
-    candidates = individual(scan, prediction, measurements=chosen)
-    for level, i in enumerate(chosen):
-        here = candidates.slots[slice(*candidates.starts[level : level + 2])]
-        assert candidates.rows[here].tolist() == [j for _, j in expected[i]]
-
-
-def with_rows(prediction, positions, covariances):
-    """The same with other positions and covariances."""
-    known = prediction.expected._replace(positions=np.array(positions), covariances=np.array(covariances))
-    return dataclasses.replace(prediction, expected=known)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 @pytest.mark.parametrize("what", ["positions", "covariances"])
 def test_a_prediction_that_is_not_finite_is_refused_by_name(what, value):
     scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
-    arrays = {"positions": prediction.positions.copy(), "covariances": prediction.covariances.copy()}
-    arrays[what][2, 0] = value
+    spoilt = getattr(prediction, what).copy()
+    spoilt[2, 0] = value
+    known = prediction.expected._replace(**{what: spoilt})
     with pytest.raises(ValueError, match=rf"prediction.{what}\[2\]"):
-        individual(scan, with_rows(prediction, **arrays))
+        individual(scan, dataclasses.replace(prediction, expected=known))

@@ -75,14 +75,6 @@ def test_greedy_is_sequential_compatibility_nearest_neighbour():
         np.testing.assert_array_equal(associate(scan, prediction).features, features)
 
 
-def test_refusing_everything_pairs_nothing():
-    refuse = from_policy(lambda observation, mask: len(mask) - 1)
-    for scan, prediction in problems(5):
-        answer = refuse(scan, prediction)
-        assert (answer.features == UNPAIRED).all()
-        assert (answer.joint_distance, answer.dof) == (0.0, 0)
-
-
 def test_a_policy_associator_pickles():
     associate = pickle.loads(pickle.dumps(from_policy(greedy, candidates=2)))
     scan, prediction = next(problems(1))

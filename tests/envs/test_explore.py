@@ -137,6 +137,12 @@ def test_masks_agree_everywhere_and_looking_around_is_always_legal() -> None:
         explore(action="twist").action_masks()
 
 
+def test_settings_of_slam_are_those_of_the_scenario() -> None:
+    env = explore(overrides={"slam.reach": 3.0, "slam.locality": False})
+    env.reset(seed=0)
+    assert env.episode.slam.spec.reach == 3.0 and not env.episode.slam.spec.locality
+
+
 def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:
     plan = OfficeGenerator(rooms=2)(np.random.default_rng(1))
     save_floor_plan(plan, tmp_path / "two.json")

@@ -41,6 +41,9 @@ def test_twists_may_come_as_any_pair(right) -> None:
     env = explore(action="twist")
     env.reset(seed=0)
     assert env.step(right)[-1]["ticks"] == 1
+    for wrong in (None, 0.5, [None, 1], [2.0, 0.0], [np.nan, 0.0], [0.1, 0.2, 0.3], "ab"):
+        with pytest.raises(ValueError, match="expected two fractions"):
+            env.step(wrong)
 
 
 def hypothesis(features: list[int]) -> Hypothesis:

@@ -46,6 +46,7 @@ def by_truth(env, observation, info):
         ({"outside": float("nan")}, "outside=nan"),
         ({"kidnappings_per_map": 0}, "kidnappings_per_map=0"),
         ({"associator": "me"}, "jcbb"),
+        ({"overrides": {"associator": "me"}}, "jcbb"),
         ({"node_cost": -1.0}, "node_cost=-1"),
         ({"wrong_cost": float("inf")}, "wrong_cost=inf"),
         ({"position_tolerance": -0.1}, "position_tolerance"),
@@ -193,6 +194,7 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
     only = replace(get_scenario("office-small"), generator=from_floor_plan(path).generator)
     with pytest.raises(ValueError, match=r"outside=0\.5: the scenario has one world only"):
         relocate(only, overrides={"budget": 60}, outside=0.5).reset(seed=0)
+    relocate("density/0", overrides={"budget": 60}, outside=1.0).reset(seed=0)  # other posts within the same walls
     with pytest.raises(ValueError, match=r"resolution=0\.1 goes with a floor_plan"):
         relocate(resolution=0.1)
 

@@ -72,7 +72,10 @@ def test_a_film_of_goals_has_a_picture_of_every_tick(tmp_path):
     pytest.importorskip("pygame")
     pytest.importorskip("moviepy")
     env = gym.make("slam_gym/Explore-v0", render_mode="rgb_array_list", **SMALL)
-    film = RecordEveryTick(env, str(tmp_path), episode_trigger=lambda episode: True)
+    film = RecordEveryTick(env, str(tmp_path), episode_trigger=lambda episode: episode == 1)
+    film.reset(seed=1)
+    film.step(0)
+    assert not env.render(), "pictures of an episode that is not filmed are not kept"
     _, info = film.reset(seed=0)
     ticks = 0
     for _ in range(2):

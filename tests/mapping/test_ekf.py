@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam_gym.geometry import compose, wrap_angle
+from slam_gym.geometry import observe, transform, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNPAIRED, Array, Odometry
+from slam_gym.types import UNPAIRED, Odometry
 from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped, smallest_over_largest
-from tests.oracles.geometry import numerical
+from tests.oracles.geometry import numerical, observe_jacobians, transform_jacobians
 from tests.oracles.map import SIGMA, KnownAssociation, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------
@@ -44,41 +44,12 @@ def test_joint_update_with_one_feature_paired_twice() -> None:
     np.testing.assert_allclose(m.covariance, textbook.P, rtol=0, atol=1e-11)
 
 
-# --- Jacobians against finite differences -----------------------------------------------------------------------------
-
-
-def test_odometry_is_propagated_to_first_order() -> None:
-    m, _, _ = mapped()
-    odometry = Odometry(np.array([0.4, -0.1, 0.3]), START_COVARIANCE)
-    before, P = m.mean, m.covariance
-    F = numerical(lambda x: np.concatenate([compose(x[:3], odometry.motion), x[3:]]), before, wrapped=2)
-    G = np.vstack(
-        [numerical(lambda u: compose(before[:3], u), odometry.motion, wrapped=2), np.zeros((len(before) - 3, 3))]
-    )
-    m.predict(odometry)
-    np.testing.assert_allclose(m.pose, compose(before[:3], odometry.motion), atol=1e-14)
-    np.testing.assert_allclose(m.covariance, F @ P @ F.T + G @ odometry.covariance @ G.T, rtol=0, atol=1e-9)
-
-
-def test_new_features_are_propagated_to_first_order() -> None:
-    m, _, _ = mapped()
-    rng = np.random.default_rng(5)
-    points, R = rng.uniform(-4, 4, (2, 2)), random_covariances(rng, SIGMA, 2)
-    before, P = m.mean, m.covariance
-
-    def appended(xz: Array) -> Array:
-        x, z = xz[: len(before)], xz[len(before) :].reshape(2, 2)
-        pairs = [compose(x[:3], np.append(point, 0.0))[:2] for point in z]
-        return np.concatenate([x, *pairs])
-
-    J = numerical(appended, np.concatenate([before, points.ravel()]))
-    noise = np.zeros((len(before) + 4, len(before) + 4))
-    noise[: len(before), : len(before)] = P
-    for i in range(2):
-        noise[len(before) + 2 * i :, len(before) + 2 * i :][:2, :2] = R[i]
-    np.testing.assert_array_equal(m.add(make_scan(points, R), np.array([0, 1])), [m.n - 2, m.n - 1])
-    np.testing.assert_allclose(m.mean, appended(np.concatenate([before, points.ravel()])), atol=1e-14)
-    np.testing.assert_allclose(m.covariance, J @ noise @ J.T, rtol=0, atol=1e-8)
+@pytest.mark.parametrize(("f", "jacobians"), [(transform, transform_jacobians), (observe, observe_jacobians)])
+def test_the_jacobians_of_the_textbook_are_those_of_finite_differences(f, jacobians) -> None:
+    point = np.array([3.0, -1.5])
+    by_pose, by_point = jacobians(START, point)
+    np.testing.assert_allclose(by_pose, numerical(lambda pose: f(pose, point[None])[0], START), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(by_point, numerical(lambda z: f(START, z[None])[0], point), rtol=0, atol=1e-8)
 
 
 # --- laws -------------------------------------------------------------------------------------------------------------

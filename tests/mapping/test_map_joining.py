@@ -13,7 +13,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.types import UNKNOWN_KIND, Array, Odometry, Scan
 from tests.mapping.small_maps import smallest_over_largest
-from tests.oracles.geometry import numerical
+from tests.oracles.geometry import differences, numerical
 from tests.oracles.map import KnownAssociation, Step, make_scan, random_covariances, wander
 from tests.oracles.statistics import anees_interval, for_seeds
 
@@ -59,11 +59,7 @@ def test_equality_update_is_the_estimate_on_the_subspace_of_equal_features(seed:
     P += 0.01 * np.eye(len(P))
     chosen = rng.permutation(n)
     pairs = chosen[: 2 * (1 + seed % 4)].reshape(-1, 2)
-    constraint = np.zeros((2 * len(pairs), len(mean)))
-    for row, (a, b) in enumerate(pairs):
-        for axis in range(2):
-            constraint[2 * row + axis, 3 + 2 * a + axis] = 1.0
-            constraint[2 * row + axis, 3 + 2 * b + axis] = -1.0
+    constraint = np.pad(differences(pairs, n), ((0, 0), (3, 0)))
     N = np.linalg.svd(constraint)[2][len(constraint) :].T
     information = np.linalg.inv(P)
     expected = N @ np.linalg.inv(N.T @ information @ N) @ N.T

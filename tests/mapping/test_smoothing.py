@@ -1,6 +1,7 @@
 """Batch least squares against a dense solver, the filter where all is linear, a loop, and a published optimum."""
 
 import math
+import pickle
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -187,9 +188,12 @@ def test_what_cannot_be_smoothed_is_refused_by_name() -> None:
         with pytest.raises(ValueError, match=message):
             smooth(*arguments)
     best = smooth(odometry, scans, pairings)
-    for asked, message in (({"poses": [4]}, "poses"), ({"poses": [-1]}, "poses"), ({"ids": [999]}, "ids: .*999")):
+    mask = np.arange(4) == 2
+    for asked in ({"poses": [4]}, {"poses": [-1]}, {"poses": mask}, {"ids": [999]}, {"ids": [0.5]}):
+        message = f"{next(iter(asked))}:"
         with pytest.raises(ValueError, match=message):
             best.covariance(**asked)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(best)).covariance(2), best.covariance([2]))
 
 
 # --- a published optimum ----------------------------------------------------------------------------------------------

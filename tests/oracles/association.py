@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Scan
-from tests.oracles.geometry import rigid_motions
+from tests.oracles.geometry import block_diagonal, rigid_motions
 
 
 def expecting(
@@ -131,11 +131,9 @@ def distance(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -
 
 def stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
     """ν and S of pairings (measurement, row)."""
-    rows = np.array([j for _, j in pairs])
-    S = prediction.joint(rows).copy()
-    for k, (i, _) in enumerate(pairs):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
-    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
+    measured, rows = np.array(pairs).T
+    S = prediction.joint(rows) + block_diagonal(scan.covariances[measured])
+    return (scan.points[measured] - prediction.positions[rows]).ravel(), S
 
 
 def decisions(pairs: list[tuple[int, int]], m: int) -> list[int]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from slam_gym.types import Array
+from slam_gym.types import Array, IntArray
 
 
 def numerical(f: Callable[[Array], Array], x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:
@@ -26,6 +26,18 @@ def rigid_motions(points: Array) -> Array:
     out[0::2, 0] = out[1::2, 1] = 1.0
     out[0::2, 2], out[1::2, 2] = -y, x
     return out
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(2k, 2k) of blocks (k, 2, 2) on the diagonal."""
+    each, out = np.arange(len(blocks)), np.zeros((len(blocks), 2, len(blocks), 2))
+    out[each, :, each] = blocks
+    return out.reshape(2 * len(blocks), 2 * len(blocks))
+
+
+def differences(pairs: IntArray, n: int) -> Array:
+    """H (2k, 2n): how far the second of each pair (k, 2) of n features lies from the first."""
+    return np.kron(np.eye(n)[pairs[:, 1]] - np.eye(n)[pairs[:, 0]], np.eye(2))
 
 
 def transform_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from slam_gym.geometry import compose, compose_jacobians, observe, transform, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Array, IntArray, Odometry, Scan
-from tests.oracles.geometry import observe_jacobians, transform_jacobians
+from tests.oracles.geometry import block_diagonal, observe_jacobians, transform_jacobians
 
 
 class TextbookMap:
@@ -43,9 +43,7 @@ class TextbookMap:
 
     def update(self, scan: Scan, features: IntArray) -> None:
         paired = np.flatnonzero(features != UNPAIRED)
-        H, R = self.H(features[paired]), np.zeros((2 * len(paired), 2 * len(paired)))
-        for row, i in enumerate(paired):
-            R[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = scan.covariances[i]
+        H, R = self.H(features[paired]), block_diagonal(scan.covariances[paired])
         nu = (scan.points[paired] - self.h(features[paired])).ravel()
         K = np.linalg.solve(H @ self.P @ H.T + R, H @ self.P).T
         left = np.eye(len(self.x)) - K @ H

@@ -12,19 +12,17 @@ from scipy.optimize import least_squares
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNKNOWN_KIND, Array, Landmarks, Locality, Relocation, Scan
 from tests.oracles.association import decisions, gate, random_covariance
-from tests.oracles.geometry import rigid_motions
+from tests.oracles.geometry import block_diagonal, rigid_motions
 
 Pairs = list[tuple[int, int]]
 
 
 def correlated(rng: np.random.Generator, positions: Array, sigma: float, drift: float) -> Array:
     """A joint covariance (2n, 2n): own errors of about `sigma` [m], and a drift [m, and per 10 m rad] common to all."""
-    n, J = len(positions), rigid_motions(positions)
+    J = rigid_motions(positions)
     J[:, 2] /= 10.0
-    own = np.zeros((2 * n, 2 * n))
-    for j in range(n):
-        own[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = random_covariance(rng, sigma)
-    return own + drift**2 * J @ J.T
+    own = np.array([random_covariance(rng, sigma) for _ in positions])
+    return block_diagonal(own) + drift**2 * J @ J.T
 
 
 def landmarks_of(positions: Array, covariance: Array, *, keep: str = "dense", **given: Array) -> Landmarks:
@@ -87,10 +85,8 @@ def agree_in_distance(
     """The binary constraint; P (2n, 2n) is the joint covariance of the map."""
     (i, j), (k, l) = first, second
     along, between = scan.points[k] - scan.points[i], landmarks.positions[l] - landmarks.positions[j]
-    D = np.zeros((2, len(P)))
-    D[:, 2 * l : 2 * l + 2] += np.eye(2)
-    D[:, 2 * j : 2 * j + 2] -= np.eye(2)
-    of_scan, of_map = scan.covariances[i] + scan.covariances[k], D @ P @ D.T
+    J, L = slice(2 * j, 2 * j + 2), slice(2 * l, 2 * l + 2)
+    of_scan, of_map = scan.covariances[i] + scan.covariances[k], P[J, J] + P[L, L] - P[J, L] - P[L, J]
     error = np.linalg.norm(along) - np.linalg.norm(between)
     widest = np.linalg.eigvalsh(of_scan).max() + np.linalg.eigvalsh(of_map).max()
     if min(along @ along, between @ between) < 16.0 * widest:
@@ -108,9 +104,7 @@ def same_sense(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int
     """Orientation of three pairings, its gradients by central differences (the area is quadratic: they are exact)."""
     rows, columns = [i for i, _ in pairs], np.array([j for _, j in pairs])
     entries = (2 * columns[:, None] + np.arange(2)).ravel()
-    z, F, R = scan.points[rows], landmarks.positions[columns], np.zeros((6, 6))
-    for a, i in enumerate(rows):
-        R[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] = scan.covariances[i]
+    z, F, R = scan.points[rows], landmarks.positions[columns], block_diagonal(scan.covariances[rows])
     if area(z) * area(F) >= 0.0:
         return True
     steps = np.eye(6).reshape(6, 3, 2)
@@ -128,14 +122,13 @@ def fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]]
     rows = np.array([j for _, j in pairs])
     z, F = scan.points[[i for i, _ in pairs]], landmarks.positions[rows]
     entries = (2 * rows[:, None] + np.arange(2)).ravel()
-    P = P[np.ix_(entries, entries)]
+    P, R = P[np.ix_(entries, entries)], scan.covariances[[i for i, _ in pairs]]
     best: tuple[float, Array, Array] = (np.inf, np.full(3, np.nan), np.full((3, 3), np.nan))
     for heading in np.arange(4) * np.pi / 2.0:
         pose = np.array([*(F.mean(0) - rotation(heading) @ z.mean(0)), heading])
         for _ in range(20):
-            C, S = rotation(pose[2]), P.copy()
-            for a, (i, _) in enumerate(pairs):
-                S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += C @ scan.covariances[i] @ C.T
+            C = rotation(pose[2])
+            S = P + block_diagonal(C @ R @ C.T)
             root = np.linalg.inv(np.linalg.cholesky(S))
             found = least_squares(
                 lambda x, w=root: w @ errors(x, z, F).ravel(), pose, xtol=1e-14, ftol=1e-14, gtol=1e-14
@@ -196,9 +189,8 @@ def quick_fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: Pairs) -> tuple
     heading = np.arctan2((dz[:, 0] * dF[:, 1] - dz[:, 1] * dF[:, 0]).sum(), (dz * dF).sum())
     pose = np.array([*(F.mean(0) - rotation(heading) @ z.mean(0)), heading])
     for _ in range(60):
-        C, S = rotation(pose[2]), P[np.ix_(entries, entries)].copy()
-        for a in range(len(pairs)):
-            S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += C @ R[a] @ C.T
+        C = rotation(pose[2])
+        S = P[np.ix_(entries, entries)] + block_diagonal(C @ R @ C.T)
         turned = z @ C.T
         A = np.zeros((2 * len(pairs), 3))
         A[0::2, 0] = A[1::2, 1] = 1.0

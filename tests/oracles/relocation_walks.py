@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from slam_gym.association.relocation.walk import RelocationWalk
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.association.walks import Observation
 from slam_gym.types import Array, BoolArray, Landmarks, Locality, Scan
 from tests.oracles import relocation
 
+LOCALITIES = ["everything", "distance", "covisibility"]
+ALL = WalkSpec(candidates=100, order="as_scanned", node_limit=10**6)
 Planted = tuple[Scan, Landmarks, Array, dict[str, Locality | None], np.random.Generator]
 
 

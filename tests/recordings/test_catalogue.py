@@ -15,6 +15,8 @@ def test_the_suffix_of_a_file_tells_its_reader(tmp_path) -> None:
     save(Recording(**by_hand()), tmp_path / "mine.npz")
     (tmp_path / "mine.g2o").write_text(G2O)
     (tmp_path / "mine.txt").write_text(ISAM)
+    (tmp_path / "mine.G2O").write_text(f"\ufeff{G2O}", encoding="utf-8")
+    assert len(open_recordings(tmp_path / "mine.G2O")[0]) == 2
     assert [len(open_recordings(tmp_path / f"mine.{suffix}")[0]) for suffix in ("npz", "g2o", "txt")] == [6, 2, 2]
     for reference, known in ((False, 0), (True, 2)):
         (log,) = open_recordings(str(tmp_path / "mine.g2o"), reference=reference)
@@ -40,12 +42,16 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, monkeypatch) -> None:
         open_recordings("mrclam", tmp_path)
 
 
-def test_of_each_set_every_robot_that_was_asked_for(data_dir, monkeypatch) -> None:
+def test_of_each_set_every_robot_that_was_asked_for(data_dir, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv(DATA, str(data_dir))
     sets = sorted(path.name for path in (data_dir / "mrclam").glob("MRCLAM_Dataset*"))
     logs = open_recordings("mrclam", robots=[2, 4])
     assert [log.name for log in logs] == [f"mrclam/{folder}/robot{robot}" for folder in sets for robot in (2, 4)]
-    (alone,) = open_recordings("mrclam", data_dir / "mrclam" / sets[0], [4])
+    for file in (data_dir / "mrclam" / sets[0]).iterdir():
+        (tmp_path / "one").mkdir(exist_ok=True)
+        (tmp_path / "one" / file.name).symlink_to(file)
+    (tmp_path / "one" / "Barcodes.dat.bak").touch()
+    (alone,) = open_recordings("mrclam", tmp_path, [4])
     np.testing.assert_array_equal(alone.points, logs[1].points)
 
 

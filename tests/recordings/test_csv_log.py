@@ -54,6 +54,7 @@ def test_columns_for_deviations_sizes_and_identities_are_used(tmp_path):
         (HEAD.replace("x,y", "range,bearing") + "0,0,0,0,1,1\n1,0,0,0,0,1\n", "line 3: column 'range' is not above 0"),
         (HEAD.replace("x,y", "range,bearing") + "0,0,0,0,1,50\n", "line 2: column 'bearing' [rad] is more than a turn"),
         (HEAD + "0,0,0,9,1,1\n", "line 2: column 'turn' [rad] is more than a turn; are these degrees, or absolute"),
+        (HEAD + "0,0,0,0,1,1\n1,0,2e9,0,1,1\n", "line 3: column 'lateral' is above 1e+09"),
         (HEAD + f"0,0,0,{'1' * 200_000},1,1\n", "field larger than field limit"),
         (
             HEAD.strip() + ",source\n0,0,0,0,1,1,9007199254740993\n0,0,0,0,1,1,1e17\n",

@@ -47,6 +47,15 @@ def test_a_part_has_the_scans_of_its_steps() -> None:
             recording.part(first, last)
 
 
+def test_lists_are_arrays_and_what_cannot_be_saved_is_refused() -> None:
+    told = by_hand() | {"motions": [[0, 0, 0], *[[1, 2, 1]] * 5], "sources": [7, 8, 9, 30] * 6}
+    exact = Recording(**told | {"motions": np.array(told["motions"], np.float64)})
+    np.testing.assert_array_equal(Recording(**told).every(2).motions, exact.every(2).motions)
+    for changes in ({"sources": np.full(24, np.nan)}, {"name": 5}, {"times": list("012345")}):
+        with pytest.raises(RecordingError, match=f"field '{next(iter(changes))}'"):
+            Recording(**told | changes)
+
+
 def test_what_a_log_does_not_tell_is_unknown() -> None:
     told = by_hand()
     for name in ("sizes", "size_variances", "reference_times", "reference_poses", "landmark_ids", "landmarks"):

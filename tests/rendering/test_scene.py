@@ -17,7 +17,9 @@ from slam_gym.rendering.scene import (
     scene_of_log,
     shown_in,
 )
+from slam_gym.simulation.association_runs import DrivenRun, nearest_frontier
 from tests.rollouts import associate, episode, explore, short
+from tests.simulation.episodes import site_of
 
 pytest.importorskip("pygame")
 
@@ -95,6 +97,15 @@ def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_
     assert scene.grid is None and len(scene.features) == len(logged.run.targets)
     unknown = scene._replace(true_pose=np.full(3, np.nan))
     assert count(drawn(true_pose=unknown.true_pose, pose=scene.pose), symbols.INK) == 0
+
+
+def test_the_trail_of_a_long_drive_is_a_line_that_is_cut_where_the_robot_was_carried() -> None:
+    run = DrivenRun(short(2), site_of(short(2)), nearest_frontier, np.random.default_rng(0))
+    ahead = [np.array([0.1 * k + 50.0 * (k > 15_000), 0.0, 0.0]) for k in range(20_000)]
+    run.poses, run.estimates = ahead, ahead
+    trail = scene_of_episode(run).true_trail
+    assert len(trail) < 2_000 and np.flatnonzero(np.isnan(trail[:, 0])).size == 1
+    np.testing.assert_array_equal(trail[-1], ahead[-1][:2])
 
 
 ALL = frozenset({"furniture", "people", "covisibility", "grid", "goals"})

@@ -111,6 +111,8 @@ def test_a_floor_plan_file_becomes_a_scenario_with_a_budget_for_its_size(tmp_pat
     assert budgets[0] == 1_000 <= budgets[1] < budgets[2] <= 20_000
     near = from_floor_plan(tmp_path / "2.json", like=get_scenario("short-sighted"))
     assert near.sensor == SCENARIOS["office"].sensor and near.budget > 1.5 * budgets[2]
+    same = ExploreEnv(floor_plan=tmp_path / "2.json", overrides={"beams.range": near.beams.range}).scenario
+    assert same.budget == near.budget, "the budget is that of the robot with its overrides"
     quality = drive(scenarios[0], 5)
     assert quality["map_error"] < 0.9 and quality["coverage"] > 0.3
 

@@ -9,6 +9,7 @@ from slam_gym.association import jcbb, nearest_neighbour, true_association
 from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe
 from slam_gym.metrics.map_quality import map_error
+from slam_gym.scenarios import overridden
 from slam_gym.simulation.association_runs import (
     CORRIDOR,
     DRIVERS,
@@ -129,6 +130,13 @@ def test_a_driven_run_lasts_as_long_as_its_scenario_and_is_the_same_each_time(dr
     np.testing.assert_array_equal(one.slam.map.mean, other.slam.map.mean)
     travelled = np.hypot(*np.diff(np.array(one.poses)[:, :2], axis=0).T).sum()
     assert travelled > 1.0
+
+
+def test_nobody_is_carried_away_since_nothing_would_relocate_the_robot() -> None:
+    kidnapped = overridden(SMALL, {"kidnapping.at": 0.5})
+    run = DrivenRun(kidnapped, site_of(SMALL), DRIVERS["random"], np.random.default_rng(0))
+    play(run, jcbb)
+    assert np.hypot(*np.diff(np.array(run.poses)[:, :2], axis=0).T).max() < 0.3
 
 
 # --- drivers ----------------------------------------------------------------------------------------------------------

@@ -39,9 +39,7 @@ def drive(
     Q = np.diag([0.02, 0.01, drift]) ** 2
     for step in range(steps):
         if step == carried_at:
-            quarter = math.pi / 2.0
-            c, s = math.cos(quarter), math.sin(quarter)
-            pose = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], pose[2] + quarter])
+            pose = compose(np.array([0.0, 0.0, math.pi / 2.0]), pose)
         moved = np.array([0.5, 0.0, turn])
         pose = compose(pose, moved)
         odometry = Odometry(moved + rng.normal(size=3) * np.sqrt(np.diag(Q)), Q)

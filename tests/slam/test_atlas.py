@@ -230,7 +230,7 @@ def test_no_scan_is_searched_for_twice_in_one_map() -> None:
 
 
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
-    log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(RecognitionSpec(min_pairs=100), patience=0)
+    log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(RecognitionSpec(min_pairs=100, group=100), patience=0)
     slam = Slam(SPEC, VIEW, relocate=nobody, atlas=spec)
     removed = [slam.step(odometry, scan).removed for odometry, scan, _ in log.steps]
     assert max(map(len, removed)) > 8 and slam.maps == (slam.map,)

@@ -133,6 +133,7 @@ def test_ros_map_origin_and_negate(tmp_path, cv2):
         ("map.yaml", b"image: gone.pgm\nresolution: 0.1\n", "image: .*No such file|image: .*too long"),
         ("map.yaml", b"image: a\nresolution: fine\n", "resolution: 'fine' is not a number"),
         ("map.yaml", b"image: a\nresolution: 0.1\norigin: [0, 0, 1]\n", "origin"),
+        ("map.yaml", b"image: a\nresolution: 0.1\nmode: raw\n", "mode: 'raw' is neither"),
         ("map.yaml", b"image: {\n", "file: is not YAML"),
         ("map.yaml", b"image: " + b"[" * 2000, "file: is not YAML"),
         ("map.yaml", b"image: a\nresolution: 2001-99-99\n", "file: is not YAML"),

@@ -119,6 +119,13 @@ def test_real_floors_can_be_driven(name, floors, data_dir):
     assert len(thinned(plan.features.positions, np.zeros(len(plan.features)))) == len(plan.features)
 
 
+def test_a_shaft_is_no_floor_beside_a_hall_that_reaches_the_edge_of_the_image():
+    image = np.full((400, 600), 254, np.uint8)
+    image[100:180, 100:180] = 0
+    image[110:170, 110:170] = 254
+    assert from_raster(image, PIXEL).rooms[0].area > 500.0
+
+
 def test_willow_garage_can_be_driven(data_dir):
     plan = load_floor_plan(data_dir / "willow_garage" / "willow-full.pgm", 0.1)
     image = cv2.imread(str(data_dir / "willow_garage" / "willow-full.pgm"), cv2.IMREAD_GRAYSCALE)

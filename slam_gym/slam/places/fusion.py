@@ -92,7 +92,8 @@ def close_missed_loop(m: StochasticMap, graph: CovisibilityGraph, spec: Recognit
     were started later, form a map with the robot. It is joined with the rest by the common ground alone: what the two
     parts knew of each other came from a wrong pose.
     """
-    anywhere = replace(spec, inflation=_ANYWHERE, min_pairs=int(_MORE_PAIRS * spec.min_pairs))
+    more = min(int(_MORE_PAIRS * spec.min_pairs), spec.group)
+    anywhere = replace(spec, inflation=_ANYWHERE, min_pairs=more)
     parts = parts_of(m, graph, anywhere, anywhere.min_pairs)
     found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, anywhere)
     if parts is None or found is None:

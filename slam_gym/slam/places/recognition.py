@@ -58,8 +58,9 @@ class RecognitionSpec(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.min_loop_pairs > self.group:
-            raise ValueError(f"min_loop_pairs: {self.min_loop_pairs} is more than group, {self.group}")
+        for name in ("min_loop_pairs", "min_pairs"):
+            if getattr(self, name) > self.group:
+                raise ValueError(f"{name}: {getattr(self, name)} is more than group, {self.group}")
 
 
 class Parts(NamedTuple):

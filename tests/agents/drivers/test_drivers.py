@@ -22,6 +22,8 @@ def test_every_listed_agent_is_there_and_says_what_it_is(name):
     assert cls.name == name
     assert is_learned(name) == (name == "ppo")
     assert not any(is_learned(baseline) for baseline in BASELINES)
+    with pytest.raises(ValueError, match="learned: give its file" if is_learned(name) else "takes no model file"):
+        make_agent(name, None if is_learned(name) else "model.zip")
 
 
 def test_agents_see_nothing_that_is_measured_against_the_truth():

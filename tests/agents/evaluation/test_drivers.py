@@ -39,6 +39,14 @@ def test_the_table_is_that_of_the_results(finished):
 SMALL = ExploreArguments("office-small")
 
 
+def test_an_error_of_a_driver_names_it(monkeypatch):
+    agent = make_agent("random")
+    monkeypatch.setattr(agent, "act", lambda observation, info: np.zeros(3) + np.zeros(2))
+    with pytest.raises(ValueError, match="broadcast") as failed:
+        run_episode(SMALL.make("goal"), agent, 0)
+    assert failed.value.__notes__ == ["raised by agent random"]
+
+
 def test_a_record_agrees_with_itself_and_watching_does_not_change_it():
     seen, env = [], SMALL.make("goal")
     record = run_episode(env, make_agent("random"), 1)

@@ -4,6 +4,7 @@ numbers and files agree with counts by hand."""
 import functools
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.metrics.map_quality import ate, landmark_rmse
 from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import mrclam
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, save
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios import MRCLAM, VICTORIA_PARK
 from slam_gym.types import SPURIOUS, UNLABELLED
@@ -54,8 +55,18 @@ def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -
         for of in ("", "_batch")
     )
     assert (batch < 1.05 * filtered).all()
-    certain = replace(drive(steps=120), motion_covariances=np.zeros_like(drive(steps=120).motion_covariances))
-    assert math.isnan(measure(map_log(certain, "jcbb", SPEC))["ate_batch"])
+    log = replace(
+        drive(steps=120),
+        landmark_ids=np.empty(0),
+        landmarks=np.empty((0, 2)),
+        reference_times=[],
+        reference_poses=np.empty((0, 3)),
+    )
+    at_rest = replace(log, motion_covariances=log.motion_covariances * (np.arange(120) != 40)[:, None, None])
+    for each in (log, at_rest, replace(log, times=np.floor(log.times))):
+        assert measure(map_log(surveyed(each), "true_association", SPEC))["ate_batch"] < 0.01
+    exact = replace(drive(steps=120), covariances=np.zeros_like(log.covariances))
+    assert math.isnan(measure(map_log(exact, "jcbb", SPEC))["ate_batch"])
 
 
 def test_a_stretch_of_the_park_with_jcbb(data_dir) -> None:
@@ -203,6 +214,21 @@ def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_ou
     assert [c.key for c in log_tables(frame[:2], "")[0].columns] == [c.key for c in LOG_COLUMNS if c.key != "anees"]
     sound, broken = log_tables(frame[:2], "")[0], log_tables(frame[2:], "")[0]
     assert "twice" not in sound.caption and broken.caption.endswith("mapped a place twice: singles, jcbb.")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (Recorded(reference=True), "--reference is for .g2o"),
+        (Recorded(Path("data")), "--data is for victoria_park"),
+        (Recorded(), "its clock another one"),
+    ],
+)
+def test_options_that_would_be_ignored_and_a_reference_of_another_time_are_refused(tmp_path, options, message) -> None:
+    log = drive(steps=9)
+    save(replace(log, reference_times=log.reference_times + 1e9), tmp_path / "log.npz")
+    with pytest.raises(ValueError, match=message):
+        logs_of(options, str(tmp_path / "log.npz"))
 
 
 def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:

@@ -1,5 +1,6 @@
 """Whatever is evaluated: interrupted and resumed is the same as uninterrupted, and nothing is overwritten."""
 
+import hashlib
 import json
 import os
 import sys
@@ -121,6 +122,8 @@ def test_a_model_that_has_changed_is_not_resumed(tmp_path):
     (tmp_path / "own.npz").open("ab").write(b"more")
     with pytest.raises(ValueError, match=r"own.npz is not the file of which .*out holds results"):
         carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", **RESUMED)
+    driven = driver_evaluation([Driver("random")], [replace(SMALL, associator=names[0])], range(1))
+    assert driven.about["models"][names[0]]["sha256"] == hashlib.sha256((tmp_path / "own.npz").read_bytes()).hexdigest()
 
 
 def test_a_folder_without_results_is_refused_by_name(tmp_path):

@@ -12,6 +12,7 @@ from agents.evaluation.tables import (
     Table,
     best_names,
     cell,
+    columns,
     difference,
     estimate,
     estimates,
@@ -32,6 +33,13 @@ def test_models_of_one_agent_are_pooled_and_resampled_each_on_its_own():
     # each model always gives the same value, so that resampling within models leaves nothing to vary
     assert (row["map_error"].estimate, row["map_error"].low, row["map_error"].high) == pytest.approx((0.3, 0.3, 0.3))
     assert math.isnan(row["coverage"].estimate)
+
+
+def test_of_events_the_mean_is_taken_since_an_interquartile_mean_hides_a_quarter_of_them():
+    frame = pd.DataFrame(
+        {"name": "a", "setting": "x", "model": "", "episode": range(20), "recovered": [0.0] * 4 + [1.0] * 16}
+    )
+    assert estimates(frame, columns("recovered"))["recovered"].estimate == 0.8
 
 
 def test_differences_are_paired_over_episodes_and_settings():

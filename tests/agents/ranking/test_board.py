@@ -155,7 +155,9 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     assert "|  | jcbb |" in shown, "what ships is ranked beside it, in the same worlds"
     before, _ = read_entries(folders_in(board))
     assert [entry.name for entry in before] == [MINE, "true_association"]
-    leaderboard("--entry", MINE, "--role", "associator")
+    again = CliRunner().invoke(app, ["--entry", MINE, "--role", "associator", "--quick", "--board", str(board)])
+    assert again.exit_code == 2 and "--resume" in again.output, "its code may be another one by now"
+    leaderboard("--entry", MINE, "--role", "associator", "--resume")
     for entry, again in zip(before, read_entries(folders_in(board))[0], strict=True):
         pd.testing.assert_series_equal(entry.losses, again.losses)
 

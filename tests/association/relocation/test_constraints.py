@@ -66,14 +66,6 @@ def test_binary_refuses_right_pairs_as_rarely_as_its_confidence_says():
     assert 0.035 < refused / 1200 < 0.065
 
 
-def test_marginals_alone_would_let_a_wrong_distance_pass():
-    scan = oracles.scan_of([[0.0, 0.0], [1.0, 0.0]], np.tile(1e-4 * np.eye(2), (2, 1, 1)))
-    P = 1e-4 * np.eye(4) + 0.25 * np.kron(np.ones((2, 2)), np.eye(2))
-    for keep, passes in (("dense", False), ("blocks", False), ("none", True)):
-        landmarks = oracles.landmarks_of([[5.0, 5.0], [5.0, 6.2]], P, keep=keep)
-        assert binary(scan, landmarks, (0, 0), (1, 1)) == passes
-
-
 @pytest.mark.parametrize("distance", [0.0, 0.02, 0.1])
 def test_points_nearer_than_their_noise_are_seldom_refused(distance):
     """Their distance is not Gaussian: the gate of the linearised formula would refuse far too many."""
@@ -84,25 +76,6 @@ def test_points_nearer_than_their_noise_are_seldom_refused(distance):
         landmarks = oracles.landmarks_of(true + 0.05 * rng.standard_normal((2, 2)), 0.0025 * np.eye(4))
         refused += not binary(oracles.scan_of(points, noise), landmarks, (0, 0), (1, 1))
     assert refused / 400 <= 0.02
-
-
-def test_a_mirror_image_agrees_in_every_distance_and_is_refused_by_orientation():
-    scan, landmarks, P = plant(3, sigma=0.01, drift=0.0, spread=5.0)
-    mirrored = oracles.landmarks_of(landmarks.positions * [1.0, -1.0], P)
-    triples = [(0, 1, 2), (1, 2, 3), (0, 4, 5)]
-    for triple in triples:
-        pairings = [(i, i) for i in triple]
-        assert binary(scan, mirrored, *pairings[:2]) and binary(scan, mirrored, *pairings[1:])
-        assert not orientation(scan, mirrored, *pairings)
-        assert orientation(scan, landmarks, *pairings)
-
-
-def test_orientation_has_nothing_to_say_on_a_line():
-    rng = np.random.default_rng(0)
-    line = np.column_stack([np.arange(3.0), np.zeros(3)]) + 0.02 * rng.standard_normal((3, 2))
-    scan = oracles.scan_of(line * [1.0, -1.0], np.tile(0.02**2 * np.eye(2), (3, 1, 1)))
-    landmarks = oracles.landmarks_of(line, 0.02**2 * np.eye(6))
-    assert orientation(scan, landmarks, (0, 0), (1, 1), (2, 2))
 
 
 def test_sizes_and_kinds_by_definition():

@@ -95,18 +95,13 @@ def test_all_largest_cliques_are_found_and_no_other():
         assert sorted(tuple(sorted(c)) for c in found.tolist()) == sorted(c for c in maximal if len(c) == most)
 
 
-def test_too_many_largest_cliques_are_said_to_be():
-    a, b = np.triu_indices(18, 1)
-    kept = a % 9 != b % 9  # nine pairs that are not joined: 2⁹ largest cliques
+@pytest.mark.parametrize(("groups", "size"), [(9, 2), (30, 3)])
+def test_too_many_largest_cliques_are_said_to_be(groups, size):
+    """Of groups not joined in themselves: 2⁹ cliques, and 3³⁰, the most there can be (Moon and Moser, 1965)."""
+    a, b = np.triu_indices(groups * size, 1)
+    kept = a // size != b // size
     found, complete = cliques.largest_cliques(np.column_stack([a[kept], b[kept]]))
-    assert not complete and found.shape == (256, 9)
-
-
-def test_a_graph_of_exponentially_many_cliques_is_left_at_the_limit():
-    a, b = np.triu_indices(90, 1)
-    kept = a // 3 != b // 3  # thirty triples that are not joined: 3³⁰ maximal cliques (Moon and Moser, 1965)
-    found, complete = cliques.largest_cliques(np.column_stack([a[kept], b[kept]]))
-    assert not complete and found.shape == (256, 30)
+    assert not complete and found.shape == (256, groups)
 
 
 # --- under locality a search is linear in the map: what is tested, and how large localities are -----------------------

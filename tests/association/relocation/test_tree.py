@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.relocation.walk import RelocationWalk
 from slam_gym.types import UNPAIRED
 from tests.oracles import relocation as oracles
 from tests.oracles import relocation_walks as walks
+from tests.oracles.geometry import differences
+from tests.oracles.relocation_walks import ALL, LOCALITIES
 from tests.oracles.statistics import for_seeds
-
-LOCALITIES = ["everything", "distance", "covisibility"]
-ALL = WalkSpec(candidates=100, order="as_scanned", node_limit=10**6)
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
@@ -70,9 +69,7 @@ def test_distances_of_a_candidate_are_those_of_the_binary_constraint(seed):
                 along = scan.points[k] - scan.points[walk.measurement]
                 between = landmarks.positions[l] - landmarks.positions[j]
                 u, v = along / np.linalg.norm(along), between / np.linalg.norm(between)
-                D = np.zeros((2, len(P)))
-                D[:, 2 * l : 2 * l + 2] += np.eye(2)
-                D[:, 2 * j : 2 * j + 2] -= np.eye(2)
+                D = differences(np.array([[j, l]]), len(landmarks))
                 of_scan = scan.covariances[k] + scan.covariances[walk.measurement]
                 variance = u @ of_scan @ u + v @ D @ P @ D.T @ v
                 squares.append((np.linalg.norm(along) - np.linalg.norm(between)) ** 2 / variance)

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from slam_gym.association.relocation.constraints import map_arrays
 from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
-from slam_gym.geometry import observe
+from slam_gym.geometry import observe, transform
+from slam_gym.metrics.map_quality import align_se2
 from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
 from slam_gym.world import corridor
 from tests.oracles.geometry import rigid_motions
@@ -49,14 +50,6 @@ def is_near(answer, pose):
     return bool(np.hypot(*(answer.pose[:2] - pose[:2])) < 0.3 and abs(turn) < math.radians(3.0))
 
 
-def fit(z, F, pairs):
-    rows, columns = np.array(pairs).T
-    a, b = z[rows] - z[rows].mean(0), F[columns] - F[columns].mean(0)
-    angle = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    heading = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    return heading, F[columns].mean(0) - heading @ z[rows].mean(0)
-
-
 def around(places, F, gate):
     squares = ((places[:, None] - F[None]) ** 2).sum(2)
     pairs, used = [], set()
@@ -81,15 +74,15 @@ def brute_force(scan, landmarks):
         for j, l in np.argwhere(np.abs(apart - np.hypot(*(z[k] - z[i]))) < gate):
             pairs = [(i, int(j)), (k, int(l))]
             for _ in range(3 if j != l else 0):
-                heading, shift = fit(z, F, pairs)
-                pairs = around(z @ heading.T + shift, F, chi2.ppf(0.99, 2) * variance)
+                rows, columns = np.array(pairs).T
+                placed = transform(align_se2(z[rows], F[columns]), z)
+                pairs = around(placed, F, chi2.ppf(0.99, 2) * variance)
                 if len(pairs) < max(best, 3):
                     break
             if len(pairs) < max(best, 3):
                 continue
-            heading, shift = fit(z, F, pairs)
             rows, columns = np.array(pairs).T
-            errors = F[columns] - (z[rows] @ heading.T + shift)
+            errors = F[columns] - transform(align_se2(z[rows], F[columns]), z[rows])
             if (errors**2).sum() / variance > chi2.ppf(0.99, 2 * len(pairs) - 3):
                 continue
             found = [] if len(pairs) > best else found
@@ -147,18 +140,6 @@ def test_refuses_what_was_never_mapped_and_mirror_images():
     assert accepted <= 8  # 2 % of 240 are expected at most
 
 
-def test_says_ambiguous_where_two_places_look_alike():
-    rng = np.random.default_rng(6)
-    room = rng.uniform(0.0, 20.0, (25, 2))
-    twin = FeatureIndex(landmarks_at(np.concatenate([room, room + np.array([40.0, 0.0])])))
-    alone = FeatureIndex(landmarks_at(room))
-    for _ in range(30):
-        scan, pose, _ = view(rng, room, 10, 2)
-        answer, single = twin.relocate(scan), alone.relocate(scan)
-        assert answer.ambiguous and answer.ties >= 1 and not answer.accepted
-        assert single.accepted and is_near(single, pose)
-
-
 def test_the_corridor_looks_alike_from_four_sides_until_it_is_thinned():
     rng = np.random.default_rng(23)
     world = corridor.features()
@@ -172,7 +153,7 @@ def test_the_corridor_looks_alike_from_four_sides_until_it_is_thinned():
             seen = observe(pose, features)
             seen = seen[(np.hypot(*seen.T) < corridor.RANGE) & (seen[:, 0] > 0.0)]
             answer = index.relocate(scan_at(seen + 0.01 * rng.standard_normal(seen.shape), 0.01))
-            assert answer.ambiguous or not symmetric
+            assert (answer.ambiguous and answer.ties >= 1) or not symmetric
             assert not answer.accepted or is_near(answer, pose)
             accepted += answer.accepted
         assert accepted == 0 if symmetric else accepted >= 24

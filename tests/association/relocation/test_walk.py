@@ -9,9 +9,7 @@ from slam_gym.association import gcbb
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.types import UNPAIRED
 from tests.oracles import relocation_walks as walks
-
-LOCALITIES = ["everything", "distance", "covisibility"]
-ALL = WalkSpec(candidates=100, order="as_scanned", node_limit=10**6)
+from tests.oracles.relocation_walks import ALL, LOCALITIES
 
 
 def everything(walk):

@@ -87,14 +87,6 @@ def test_ipjc_is_jcbb_where_nothing_turns(seed):
         assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=close, abs=close)
 
 
-@for_seeds(40)
-def test_ipjc_tends_to_jcbb_as_the_heading_becomes_certain(seed):
-    scan, prediction, *_ = turning_problem(np.random.default_rng(seed), 6, 8, 1e-5)
-    expected, answer = jcbb(scan, prediction), ipjc(scan, prediction)
-    assert answer.features.tolist() == expected.features.tolist()
-    assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=1e-3, abs=1e-3)
-
-
 def test_ipjc_misses_fewer_pairings_than_jcbb_when_the_heading_is_far_off():
     missed = {"jcbb": 0, "ipjc": 0}
     for seed in range(60):

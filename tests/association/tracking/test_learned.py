@@ -6,14 +6,13 @@ import os
 import numpy as np
 import pytest
 
-from slam_gym import Slam, learned_associator, marginal
-from slam_gym.association import resolve_associator
+from slam_gym import learned_associator, marginal
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking import ppo as ppo_weights
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.marginal import examples, weigh
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, SHAPES, Network, load_network, log_odds, network_of
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Scan
 from slam_gym.weights import load, write
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
@@ -24,22 +23,8 @@ def problem(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 8, 10, spread=2.0)
     few = {"sizes": rng.uniform(0.2, 1.0, 8), "size_variances": np.full(8, 0.01)}
-    return dataclasses.replace(scan, **few), with_sizes(prediction, rng.uniform(0.2, 1.0, 10), 0.01)
-
-
-def with_sizes(prediction, sizes, variance):
-    known = prediction.expected._replace(sizes=sizes, size_variances=np.full(len(sizes), variance))
-    return dataclasses.replace(prediction, expected=known)
-
-
-def test_it_goes_by_its_name_wherever_associators_do():
-    assert resolve_associator("learned") is learned_associator
-    world, slam = np.array([[2.0, 1.0], [3.0, -1.0], [5.0, 0.5], [4.0, 2.0]]), Slam()
-    for k in range(4):
-        odometry = Odometry.from_motion([0.3 if k else 0.0, 0, 0], 0.02)
-        step = slam.step(odometry, Scan.from_points(world - [0.3 * k, 0], sigma=0.05), "learned")
-    assert len(slam.map) == 4 and step.hypothesis.pairings == 4
-    assert step.prediction.experience is not None and step.prediction.sightings.tolist() == [3] * 4
+    known = prediction.expected._replace(sizes=rng.uniform(0.2, 1.0, 10), size_variances=np.full(10, 0.01))
+    return dataclasses.replace(scan, **few), dataclasses.replace(prediction, expected=known)
 
 
 def test_sizes_tell_apart_what_places_do_not():
@@ -94,12 +79,6 @@ def test_a_size_without_its_variance_is_no_size():
     unknown = dataclasses.replace(uncertain, sizes=np.full(8, np.nan))
     answers = [learned_associator(each, prediction).posterior for each in (uncertain, unknown)]
     np.testing.assert_array_equal(answers[0].unpaired, answers[1].unpaired)
-
-
-def test_cost_is_that_of_marginal():
-    scan, prediction = problem(1)
-    cheap, dear = learned_associator(scan, prediction, cost=1.0), learned_associator(scan, prediction, cost=1e4)
-    assert dear.pairings <= cheap.pairings
 
 
 # --- the network: its loops against the formula, written out with numpy -----------------------------------------------

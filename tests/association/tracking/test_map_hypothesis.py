@@ -64,19 +64,14 @@ def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(see
 def test_with_locality_what_is_near_is_decided_first(seed):
     # localities without strays: each pairing is local to all that are local to the first
     scan, prediction = densities.bare_problem(500 + seed, locality=True)
-    related = grouped(prediction, seed)
+    group = np.random.default_rng(seed).integers(0, 3, len(prediction))
+    related = group[:, None] == group
     prediction, near = densities.dressed(oracles.related_by(prediction, related), seed), prediction.near
     ranking, earlier = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None), None
     lists, first = oracles.compatible(scan, prediction, 0.999), ranking[0][1]
     if any(not near[j] for i, found in enumerate(lists) if first[i] == UNPAIRED for _, j in found):
         ranking, earlier = hypotheses(scan, prediction, ~near, first, related), ranking
     check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking, earlier)
-
-
-def grouped(prediction, seed):
-    """(k, k) features in three groups."""
-    group = np.random.default_rng(seed).integers(0, 3, len(prediction))
-    return group[:, None] == group
 
 
 @for_seeds(30)

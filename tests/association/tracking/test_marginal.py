@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import gammaln, logsumexp
 
-from slam_gym.association import jcbb, marginal
-from slam_gym.association.compatibility import individual
+from slam_gym.association import marginal
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, weigh
 from slam_gym.slam.slam import Slam
@@ -80,6 +79,9 @@ def test_the_posterior_tells_of_all_decisions_together(seed):
     others = np.delete(scores, decided)
     second = np.exp(others.max() - logsumexp(scores)) if len(others) else 0.0
     assert answer.posterior.runner_up_probability == pytest.approx(second)
+    before, after = prediction.experience, answer.experience  # the older it is, the less it counts
+    clutter = (before.unpaired + answer.posterior.unpaired.sum()) / (before.area + area_shown(scan))
+    assert after.unpaired / after.area == pytest.approx(clutter)
 
 
 def test_experience_goes_with_the_run_and_is_nobody_elses():
@@ -109,28 +111,6 @@ def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():
         assert marginal(scan, told).features.tolist() == [UNPAIRED]
 
 
-def test_a_measurement_between_two_features_is_refused():
-    """JCBB takes the nearer one."""
-    prediction = Prediction.from_gaussian([[0.0, 0.0], [1.0, 0.0]], 0.1 * np.eye(4))
-    scan = Scan.from_points([[0.45, 0.0]], sigma=0.05)
-    assert jcbb(scan, prediction).features.tolist() == [0]
-    answer = marginal(scan, prediction)
-    assert answer.features.tolist() == [UNPAIRED] and answer.posterior.unpaired[0] < 0.5
-    assert marginal(scan, prediction, cost=1.0).features.tolist() == [0]
-
-
-def test_what_is_new_is_told_from_the_others_although_the_gates_are_wide():
-    """A robot that may stand half a metre away sees four features and, beside one of them, something else."""
-    at = np.array([[1.0, 0.0], [3.0, 0.5], [4.0, -2.0], [2.0, 2.0]])
-    prediction = Prediction.from_gaussian(at, np.tile(0.25 * np.eye(2), (4, 4)) + 1e-4 * np.eye(8))
-    seen = np.concatenate([at, [[1.4, 0.3]]])
-    scan = Scan.from_points(seen + np.array([0.5, 0.4]), sigma=0.02)
-    answer = marginal(scan, prediction)
-    assert answer.features.tolist() == [0, 1, 2, 3, UNPAIRED]
-    assert answer.new.tolist() == [False] * 4 + [True]
-    assert (individual(scan, prediction).measured == 4).any()
-
-
 def summed(m, n, every, log_densities):
     """(m, n) marginals of every pairing."""
     weights = np.exp(log_densities - logsumexp(log_densities))
@@ -150,15 +130,6 @@ def test_marginals_are_sums_over_every_hypothesis(seed):
     assert found.pairings == pytest.approx(expected, abs=1e-9)
     assert found.unpaired == pytest.approx(1.0 - expected.sum(axis=1), abs=1e-9)
     assert weigh(scan, prediction)[1].pairings == pytest.approx(expected, abs=0.002)
-
-
-def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
-    """Where a robot looks √13 m far and sees one thing, λ is one in 13 m²."""
-    known, prediction = None, Prediction.from_gaussian([[9.0, 9.0]], 0.01 * np.eye(2))
-    for _ in range(100):
-        scan = Scan.from_points([[3.0, 2.0]], sigma=0.1)
-        known = marginal(scan, dataclasses.replace(prediction, experience=known)).experience
-    assert known.area / known.unpaired == pytest.approx(13.0)
 
 
 def drawn_from_the_model(rng, n, detection, density):

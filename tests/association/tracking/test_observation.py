@@ -87,8 +87,3 @@ def _outlook(scan, prediction, compatible, pairs, left):
     used = {j for _, j in pairs}
     free = [[_evidence(scan, prediction, pairs, (i, j)) for _, j in compatible[i] if j not in used] for i in left]
     return sum(max(0.0, *each, 0.0) for each in free)
-
-
-def test_nothing_is_an_observation_of_zeros():
-    zeros = {"measurement": [0.0] * 6, "candidates": [0.0] * 2 * len(CANDIDATE_FIELDS), "path": [0.0] * 8}
-    assert {name: vector.tolist() for name, vector in nothing(2).items()} == zeros

@@ -10,7 +10,7 @@ from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.places.fusion import Fusion, MappedArea, find_duplicates, fuse, join_recognised, join_relocated
 from slam_gym.slam.places.recognition import RecognitionSpec
-from slam_gym.types import UNPAIRED, Array, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from tests.slam.rings import enter
 
 SIGMA = 0.05
@@ -140,17 +140,12 @@ def test_too_little_in_common_is_not_enough(shared: int) -> None:
     assert try_to_join(points, there, 3)[0] is None
 
 
-def seen_in_turns(
-    rng: np.random.Generator, common: int, one: Array, other: Array, scans: int = 10
-) -> tuple[StochasticMap, CovisibilityGraph]:
-    """Features around a robot that stands still; `one` (2,) is seen in the first scans, `other` (2,) in the others."""
-    around = 3.0 * np.column_stack([np.cos(np.arange(common)), np.sin(np.arange(common))])
-    points = np.concatenate([around, one[None], other[None]])
+def seen_as(rng: np.random.Generator, points: Array, scans: list[IntArray]) -> tuple[StochasticMap, CovisibilityGraph]:
+    """A map of points (n, 2) by a robot that stands still, each of whose scans shows some of them."""
     m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
-    features = np.full(common + 2, UNPAIRED)
-    for turn in range(2 * scans):
-        shown = np.append(np.arange(common), common + (turn >= scans))
-        seen = Scan.from_points(points[shown] + rng.normal(0.0, SIGMA, (common + 1, 2)), sigma=SIGMA)
+    features = np.full(len(points), UNPAIRED)
+    for shown in scans:
+        seen = Scan.from_points(points[shown] + rng.normal(0.0, SIGMA, (len(shown), 2)), sigma=SIGMA)
         m.update(seen, features[shown])
         new = np.flatnonzero(features[shown] == UNPAIRED)
         features[shown[new]] = m.add(seen, new)
@@ -158,6 +153,15 @@ def seen_in_turns(
         graph.see_together(features[shown])
         m.end_of_step()
     return m, graph
+
+
+def seen_in_turns(
+    rng: np.random.Generator, common: int, one: Array, other: Array, scans: int = 10
+) -> tuple[StochasticMap, CovisibilityGraph]:
+    """Features around the robot; `one` (2,) is seen in the first scans, `other` (2,) in the others."""
+    around = 3.0 * np.column_stack([np.cos(np.arange(common)), np.sin(np.arange(common))])
+    early, late = np.delete(np.arange(common + 2), common + 1), np.delete(np.arange(common + 2), common)
+    return seen_as(rng, np.concatenate([around, one[None], other[None]]), scans * [early] + scans * [late])
 
 
 def test_a_feature_held_twice_is_found_and_the_older_comes_first() -> None:
@@ -222,18 +226,8 @@ def test_duplicates_that_were_not_seen_lately_wait() -> None:
 
 def seen_twice(rng: np.random.Generator, first: Array, second: Array) -> tuple[StochasticMap, CovisibilityGraph]:
     """The features `first` (a, 2), then, by scans that pair nothing of them, `second` (b, 2)."""
-    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
-    for points in (first, second):
-        features = np.full(len(points), UNPAIRED)
-        for _ in range(10):
-            seen = Scan.from_points(points + rng.normal(0.0, SIGMA, points.shape), sigma=SIGMA)
-            m.update(seen, features)
-            new = np.flatnonzero(features == UNPAIRED)
-            features[new] = m.add(seen, new)
-            graph.add(len(new))
-            graph.see_together(features)
-            m.end_of_step()
-    return m, graph
+    a, every = len(first), np.arange(len(first) + len(second))
+    return seen_as(rng, np.concatenate([first, second]), 10 * [every[:a]] + 10 * [every[a:]])
 
 
 def test_a_place_mapped_twice_whole_is_found_where_six_pairs_stand_together() -> None:

@@ -14,6 +14,7 @@ from slam_gym.slam.places.fusion import fuse
 from slam_gym.slam.places.loops import compatible_pairs, find_loop
 from slam_gym.slam.places.recognition import Parts, RecognitionSpec
 from slam_gym.types import Array, IntArray, Odometry
+from tests.oracles.geometry import differences
 from tests.slam.rings import enter
 
 SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
@@ -188,10 +189,7 @@ def grown(m: StochasticMap, pairs: IntArray, seed: int, gates: Array) -> list[in
     """The set that grows from one of the pairs (k, 2), by conditioning all innovations on those of the set at once.
 
     They are turned by the correction of the heading that the set implies."""
-    H = np.zeros((2 * len(pairs), 2 * m.n))
-    for row, (older, newer) in enumerate(pairs):
-        H[2 * row : 2 * row + 2, 2 * newer : 2 * newer + 2] = np.eye(2)
-        H[2 * row : 2 * row + 2, 2 * older : 2 * older + 2] = -np.eye(2)
+    H = differences(pairs, m.n)
     C, of_heading = H @ m.covariance[3:, 3:] @ H.T, H @ m.covariance[3:, 2]
     raw = (H @ m.positions.ravel()).reshape(-1, 2) @ [1.0, 1.0j]
     chosen, open_ = [seed], set(range(len(pairs)))

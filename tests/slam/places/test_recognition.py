@@ -77,5 +77,6 @@ def test_a_part_of_a_dense_map_is_recognised_by_default(seed: int) -> None:
 
 
 def test_a_loop_of_more_pairs_than_the_recent_part_has_features_is_refused() -> None:
-    with pytest.raises(ValueError, match="min_loop_pairs: 9 is more than group, 8"):
-        RecognitionSpec(min_loop_pairs=9, group=8)
+    for name in ("min_loop_pairs", "min_pairs"):
+        with pytest.raises(ValueError, match=f"{name}: 9 is more than group, 8"):
+            RecognitionSpec(**{"min_pairs": 5, name: 9, "group": 8})

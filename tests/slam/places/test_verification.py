@@ -8,7 +8,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.places.verification import agreeing, agreement
 from slam_gym.types import Array, IntArray
-from tests.oracles.geometry import rigid_motions
+from tests.oracles.geometry import differences, rigid_motions
 
 
 def map_of(positions: Array, covariance: Array) -> StochasticMap:
@@ -35,12 +35,8 @@ def twice(rng: np.random.Generator, k: int, sigma: float = 0.05, motion: float =
 
 def parts(m: StochasticMap, pairs: IntArray) -> tuple[float, float]:
     """D² and its minimum over rigid motions, by solving the linear systems in full."""
-    k, P = len(pairs), m.covariance[3:, 3:]
-    H = np.zeros((2 * k, 2 * m.n))
-    for row, (older, newer) in enumerate(pairs):
-        H[2 * row : 2 * row + 2, 2 * newer : 2 * newer + 2] = np.eye(2)
-        H[2 * row : 2 * row + 2, 2 * older : 2 * older + 2] = -np.eye(2)
-    C, nu = H @ P @ H.T, H @ m.positions.ravel()
+    H = differences(pairs, m.n)
+    C, nu = H @ m.covariance[3:, 3:] @ H.T, H @ m.positions.ravel()
     G = rigid_motions(m.positions[pairs[:, 1]])
     delta = np.linalg.solve(G.T @ np.linalg.solve(C, G), G.T @ np.linalg.solve(C, nu))
     left = nu - G @ delta
