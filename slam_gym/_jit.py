@@ -129,7 +129,8 @@ def _folder() -> Path | None:
     """The cache folder of this version, created and checked; None where nothing can be cached."""
     digest = hashlib.sha256()
     for source in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(source.read_bytes())
+        if not source.is_relative_to(_PACKAGE / "shipped"):  # a wheel's agents, which the package does not call
+            digest.update(source.read_bytes())
     folder = cache_folder() / digest.hexdigest()[:20]
     try:
         folder.mkdir(parents=True, exist_ok=True)

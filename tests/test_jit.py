@@ -51,6 +51,8 @@ def test_what_is_cached_is_not_told_nor_is_what_others_compile(cache: Path) -> N
 
 def test_installations_of_the_same_sources_share_what_is_cached(cache: Path, tmp_path: Path, monkeypatch) -> None:
     shutil.copytree(Path(__file__).parents[1] / "slam_gym", tmp_path / "other" / "slam_gym")
+    (tmp_path / "other" / "slam_gym" / "shipped").mkdir()
+    (tmp_path / "other" / "slam_gym" / "shipped" / "agent.py").touch()  # as in a wheel
     monkeypatch.chdir(tmp_path / "other")
     said, told = run(STEP + "print(linear_algebra.__file__)", cache)
     assert said == f"True\n{tmp_path}/other/slam_gym/mapping/linear_algebra.py\n" and told == ""
