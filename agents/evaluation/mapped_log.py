@@ -67,12 +67,17 @@ def compare(log: Recording, poses: Array) -> Comparison:
     """Poses (T, 3) of a log's steps beside its reference, at common instants: of the two, the one with more samples
     during the log is interpolated at the samples of the other."""
     t, reference = log.reference_times, log.reference_poses
-    during = (t >= log.times[0]) & (t <= log.times[-1])
+    during = _during(log)
     if during.sum() <= len(log):
         rows = during & _close(log.times, t)
         return Comparison(t[rows], interpolate(log.times, poses, t[rows]), reference[rows])
     rows = _close(t, log.times)
     return Comparison(log.times[rows], poses[rows], interpolate(t, reference, log.times[rows]))
+
+
+def _during(log: Recording) -> BoolArray:
+    """(G,) whether each pose of the reference lies within the times of the log."""
+    return np.asarray((log.reference_times >= log.times[0]) & (log.reference_times <= log.times[-1]))
 
 
 def _close(times: Array, instants: Array) -> BoolArray:
@@ -256,7 +261,7 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
         write_tum(folder / f"{stem(log.name)}.reference.tum", log.reference_times[known], log.reference_poses[known])
     write_tum(folder / f"{base}.tum", log.times, mapped.poses)
     compared, features = compare(log, mapped.poses), mapped.features
-    during = (log.reference_times >= log.times[0]) & (log.reference_times <= log.times[-1])
+    during = _during(log)
     aligned = transform(compared.alignment, np.ascontiguousarray(features[["x", "y"]].to_numpy()))
     frames = {
         f"{stem(log.name)}.reference.csv": pd.DataFrame(log.reference_poses[during, :2], columns=["x", "y"]),
@@ -279,14 +284,13 @@ def logs_of(options: Recorded, recording: str) -> list[Recording]:
     """
     if options.robots and recording != "mrclam":
         raise ValueError(f"--robots is for mrclam, not for {recording}")
-    if options.reference and not recording.endswith(".g2o"):
+    if options.reference and not recording.lower().endswith(".g2o"):
         raise ValueError(f"--reference is for .g2o files, not for {recording}")
     if options.data and recording not in PUBLISHED:
         raise ValueError(f"--data is for {', '.join(PUBLISHED)}, not for {recording}")
     logs = open_recordings(recording, options.data, options.robots, reference=options.reference)
     for log in logs:
-        during = (log.reference_times >= log.times[0]) & (log.reference_times <= log.times[-1])
-        if len(during) and not during.any():
+        if len(log.reference_times) and not _during(log).any():
             raise ValueError(f"{log.name}: the reference lies outside the times of the log; is its clock another one?")
     return [surveyed(log.every(options.every) if options.every > 1 else log) for log in logs]
 

@@ -155,11 +155,8 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
     """The relocation of a relocator in a process of its own."""
     answer = process.ask(scan, landmarks, locality)
     try:
-        features, pose, covariance = (
-            _decisions(answer["features"], np.int64),
-            np.full(3, np.nan),
-            np.full((3, 3), np.nan),
-        )
+        features = _decisions(answer["features"], np.int64)
+        pose, covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
         distance, located = 0.0, (features != UNPAIRED).sum() >= 2
         check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
         if located:
