@@ -71,7 +71,7 @@ class EndsAstray(gym.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         run: Any = self.env.unwrapped.run  # type: ignore[attr-defined]
         if isinstance(run, DrivenRun) and run.estimates:
-            error = compose(run.base, run.estimates[-1]) - run.world.pose
+            error = compose(run.base, run.estimates[-1]) - run.poses[-1]
             truncated |= bool(np.hypot(error[0], error[1]) > ASTRAY)
         return observation, reward, terminated, truncated, info
 
