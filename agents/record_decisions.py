@@ -66,14 +66,19 @@ def main(
     episodes: Episodes,
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
     split: Annotated[Literal["train", "test"], Option(help="Split of the worlds.")] = "train",
-    dataset: Annotated[str, Option(metavar="NAME", help="Name of the data set, in Minari's form.")] = "",
+    dataset: Annotated[str, Option(metavar="NAME", help="Name of the data set: NAME-v0, or FOLDER/NAME-v0.")] = "",
 ) -> None:
     """Write an associator's decisions to a Minari data set. Needs the extra `minari`."""
     import minari
     from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_dataset import parse_dataset_id
 
     worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES, split)
     name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
+    try:
+        parse_dataset_id(name)
+    except (TypeError, ValueError):  # TypeError: it has no version
+        raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0") from None
     if name in minari.list_local_datasets():
         raise ValueError(f"--dataset {name}: there is one of this name")
     envs = [each.make() for each in worlds]

@@ -180,7 +180,7 @@ def test_learning(headless: None) -> None:
     notebook = executed("06_learning.ipynb")
     shown = text(notebook)
     assert pictures(notebook) == 3
-    random, early, late = (row(shown, who) for who in ("random", "3 minutes", "16 minutes"))
+    random, early, late = (row(shown, who) for who in ("random", "4 minutes", "16 minutes"))
     for drift in range(2):
         assert random[drift] < 0.0 and random[drift] < early[drift] and 0.3 < late[drift] < 1.0
     first, last = map(float, re.findall(r"earns (-?\d\.\d+) in the first third, (-?\d\.\d+) in the last", shown)[0])

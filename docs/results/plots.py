@@ -128,7 +128,7 @@ def learned(theme: dict[str, str]) -> Figure:
     intervals(left, associator, "difference", rows(left, list(associator["where"])), theme["blue"])
     left.set(title="Associator", xlabel="score − that of marginal (better →)", xlim=(-0.05, 0.3))
     intervals(right, driver, "difference", rows(right, list(driver["where"])), theme["red"])
-    right.set(title="Driver", xlabel="map error − that of information gain (← better)", xlim=(-0.065, 0.03))
+    right.set(title="Driver", xlabel="difference in map error (← better)", xlim=(-0.065, 0.03))
     for axes in (left, right):
         axes.axvline(0, color=theme["ink"], linewidth=1)
     return figure

@@ -46,3 +46,12 @@ def test_they_become_a_data_set(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     episodes = list(minari.load_dataset("mine-v0").iterate_episodes())
     assert len(episodes) == 2 and episodes[0].terminations[-1] and len(episodes[0].infos["right"]) > 5
+
+
+@pytest.mark.parametrize("name", ["mine", "mine_v0", "my data-v0", "../mine-v0"])
+def test_a_name_that_minari_could_not_store_is_refused_first(tmp_path, monkeypatch, name):
+    pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    result = typed(app, "--dataset", name, "--scenario", "office-small")
+    assert result.exit_code == 2 and f"--dataset {name}: is neither" in result.stderr
+    assert not list(tmp_path.iterdir())
