@@ -85,12 +85,12 @@ def main(
     for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
         ends = np.arange(1, len(e.actions) + 1) == len(e.actions)
         steps, infos = (e.observations, e.actions, e.rewards), {"action_mask": e.masks, "right": e.right}
-        buffers.append(EpisodeBuffer(len(buffers), e.world, None, *steps, ends, np.zeros_like(ends), infos))
+        episode = len(buffers), e.world, {"world": e.world}  # seed and options of its reset
+        buffers.append(EpisodeBuffer(*episode, *steps, ends, np.zeros_like(ends), infos))
         right, total = np.mean(e.actions == e.right), e.rewards.sum()
         print(f"{each.scenario}, world {e.world}: {len(ends)} decisions, {right:.0%} right, return {total:.2f}")
-    minari.create_dataset_from_buffers(
-        name, buffers, env=envs[0], algorithm_name=associator, description="Decisions of an associator in Associate-v0"
-    )
+    text = f"Decisions in Associate-v0, {len(numbers)} episodes each of {', '.join(each.scenario for each in worlds)}"
+    minari.create_dataset_from_buffers(name, buffers, env=envs[0], algorithm_name=associator, description=text)
     print(f'data set: minari.load_dataset("{name}")')
 
 

@@ -230,9 +230,11 @@ def _try_out(driver: Driver, loop: ExploreArguments, episode: int) -> None:
     observation, info = begin_episode(env, agent, episode)
     try:
         action = agent.act(observation, visible(info))
-    except ValueError as error:
-        name = f"model {driver.model}" if driver.model else f"agent {driver.agent}"
-        raise ValueError(f"{name}: does not fit {loop.world}: {error}") from None
+    except (KeyError, ValueError) as error:
+        if not driver.model:
+            error.add_note(f"raised by agent {driver.agent}")
+            raise
+        raise ValueError(f"model {driver.model}: does not fit {loop.world}: {error}") from None
     env.step(action)
 
 

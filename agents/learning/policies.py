@@ -47,8 +47,9 @@ CHOICES = {"goal": ("goals", GOAL_FIELDS), "branch": ("candidates", CANDIDATE_FI
 # -- hyperparameters ---------------------------------------------------------------------------------------------------
 
 HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
-_WHOLE_NUMBERS = ("n_steps", "batch_size", "n_epochs")
-_PPO = (*_WHOLE_NUMBERS, "learning_rate", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef")
+_ANNEALED = ("learning_rate", "ent_coef")
+_PPO = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "vf_coef", *_ANNEALED)
+_WHOLE = {"n_steps": 1, "batch_size": 2, "n_epochs": 1}  # and the least; SB3 standardises advantages within a batch
 _LARGEST = {"timesteps": 10**12, "eval_every": 10**12, "envs": 1_024, "width": 1_024, "hidden": 1_024}
 LAST = 0.05  # final learning rate and entropy coefficient, as a fraction of the initial ones
 
@@ -75,12 +76,17 @@ class Hyperparameters:
             value = getattr(self, name)
             if type(value) is not int or not 1 <= value <= most:
                 raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {most}")
-        if not isinstance(self.ppo, dict) or not set(self.ppo) <= set(_PPO):
-            raise ValueError(f"ppo must be a table of {', '.join(_PPO)}")
+        for name in ("deterministic", "annealed"):
+            if type(getattr(self, name)) is not bool:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected true or false")
+        if not isinstance(self.ppo, dict) or not set(_ANNEALED) <= set(self.ppo) <= set(_PPO):
+            raise ValueError(f"ppo must be a table of {', '.join(_PPO)}, with {' and '.join(_ANNEALED)}")
         for name, value in {"reward_scale": self.reward_scale, **self.ppo}.items():
-            kinds = (int,) if name in _WHOLE_NUMBERS else (int, float)
-            if type(value) not in kinds or not 0 <= value <= 1e6:
-                raise ValueError(f"{name} is {value!r}, expected a {'whole ' if len(kinds) == 1 else ''}number ≥ 0")
+            least, most = _WHOLE.get(name, 0), 1 if name in ("gamma", "gae_lambda") else 1_000_000
+            kinds = (int,) if name in _WHOLE else (int, float)
+            if type(value) not in kinds or not least <= value <= most:
+                whole = "whole " if name in _WHOLE else ""
+                raise ValueError(f"{name} is {value!r}, expected a {whole}number in {least} … {most}")
 
 
 def load_hyperparameters(action: Decision, path: Path = HYPERPARAMETERS) -> Hyperparameters:

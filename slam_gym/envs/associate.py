@@ -110,6 +110,7 @@ class AssociateEnv(BaseEnv):
         self.action_space = spaces.Discrete(self.K + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
         self._ended = False
+        self._right = self._wrong = self._known = 0  # measurements of the episode so far
 
     @property
     def run(self) -> AssociationRun:

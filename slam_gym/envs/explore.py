@@ -125,7 +125,7 @@ class ExploreEnv(BaseEnv):
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
         self.goal_mode = settings.action == "goal"
-        self.associator = settings.associator or self.scenario.associator
+        self.associator = self.scenario.associator if settings.associator is None else settings.associator
         resolve_associator(self.associator)  # raises for an unknown one
         self.relocate = None
         if settings.relocation is not None:

@@ -120,7 +120,7 @@ class RelocateEnv(BaseEnv):
         self.walk_spec = WalkSpec(
             settings.candidates, settings.order, settings.node_limit, settings.sizes, self.scenario.slam.map.confidence
         )
-        self._associator = settings.associator or self.scenario.associator
+        self._associator = self.scenario.associator if settings.associator is None else settings.associator
         resolve_associator(self._associator)  # raises for an unknown one
         self.measurements = self.scenario.sensor.max_features
         shapes = walk_shapes(settings.candidates, self.measurements)

@@ -35,6 +35,7 @@ from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.base import BaseEnv, Observation
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.relocate import RelocateEnv
+from slam_gym.scenarios import SCENARIOS
 from slam_gym.types import Array, BoolArray, IntArray
 
 Infos = dict[str, Any]  # arrays (N, …) by key; beside every `key`, `_key` (N,) says which worlds have it
@@ -78,6 +79,11 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             if not (isinstance(value, int) and value >= least):
                 raise ValueError(f"{name}={value!r}: expected a whole number >= {least}")
 
+        if isinstance(
+            scenario := arguments.get("scenario"), str
+        ):  # a worker does not know those of the caller's script
+            arguments["scenario"] = SCENARIOS.get(scenario, scenario)
+
         def make() -> gym.Env[Any, Any]:
             env: gym.Env[Any, Any] = of(**arguments)
             return env if max_episode_steps is None else gym.wrappers.TimeLimit(env, max_episode_steps)
@@ -102,6 +108,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             for worlds in groups[1:]:
                 self._groups.append(_Worker(worlds, make, self._autoreset, path, kind))
             self._groups.insert(0, _Worlds(groups[0], make, self._autoreset, path, kind))
+            self._groups[0].shared = self._shared  # one array, so that a copy of both has one as well
             self._exchange("call", "render_mode", (), {})  # waits until all groups are ready
         except BaseException:
             self.close()
@@ -152,6 +159,10 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
     def render(self) -> tuple[Any, ...]:  # type: ignore[override]
         return self.call("render")
+
+    def __del__(self) -> None:
+        if not self.closed and hasattr(self, "_groups"):
+            self.close()
 
     def close_extras(self, **_: Any) -> None:
         for group in self._groups:
@@ -253,7 +264,7 @@ class _Worlds:
 
     def __init__(self, worlds: IntArray, make: Callable[[], Any], mode: AutoresetMode, path: str, kind: Any) -> None:
         self._autoreset, self._envs = mode, {world: make() for world in worlds.tolist()}
-        self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
+        self.shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
 
     def request(self, name: str, *arguments: Any) -> None:
         self._method = partial(getattr(self, name), *arguments)
@@ -279,7 +290,7 @@ class _Worlds:
         """Carry out the actions. Where an episode was or is over, begin the next according to the autoreset mode."""
         pairs: WorldInfos = []
         for world, env in self._envs.items():
-            row = self._shared[world]
+            row = self.shared[world]
             with _numbered_errors(world):
                 if (row["terminated"] or row["truncated"]) and self._autoreset is AutoresetMode.NEXT_STEP:
                     (observation, info), ends = env.reset(), (0.0, False, False)
@@ -310,7 +321,7 @@ class _Worlds:
             env.close()
 
     def _write_row(self, world: int, observation: Observation, info: dict[str, Any], *ends: Any) -> None:
-        row = self._shared[world]
+        row = self.shared[world]
         row["reward"], row["terminated"], row["truncated"] = ends
         if "action_mask" in info:
             row["mask"] = info["action_mask"]

@@ -46,6 +46,11 @@ def test_they_become_a_data_set(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     episodes = list(minari.load_dataset("mine-v0").iterate_episodes())
     assert len(episodes) == 2 and episodes[0].terminations[-1] and len(episodes[0].infos["right"]) > 5
+    data = minari.load_dataset("mine-v0")
+    (how,) = data.storage.get_episode_metadata([0])
+    begin = {"seed": how["seed"], "options": {"world": how["options"]["world"]}}
+    observation, _ = data.recover_environment().reset(**begin)
+    assert all(np.array_equal(part[0], observation[name]) for name, part in episodes[0].observations.items())
 
 
 @pytest.mark.parametrize("name", ["mine", "mine_v0", "my data-v0", "../mine-v0"])

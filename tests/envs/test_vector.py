@@ -1,9 +1,12 @@
 """Many worlds are the single environment, many times: bit for bit, in every mode, in this process and in others."""
 
+import gc
 import os
+import pickle
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +20,7 @@ from gymnasium.wrappers import vector as wrappers
 
 from slam_gym.association import nearest_neighbour
 from slam_gym.envs.vector import WorldError
+from slam_gym.scenarios import SCENARIOS
 from tests.envs.test_base import CASES, ENVIRONMENTS, SMALL
 from tests.rollouts import bare, differences, in_any_process, short, vector_rollout
 
@@ -220,6 +224,27 @@ def test_workers_end_when_they_are_killed_or_their_parent_is(tmp_path) -> None:
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, env=env)
     assert done.returncode == -signal.SIGKILL, done.stderr  # its output has ended, so the workers have
     assert "PID" in done.stdout
+
+
+def test_a_vector_that_is_forgotten_takes_its_workers_along() -> None:
+    envs = small("Explore-v0", workers=2)
+    worker = envs._groups[1].process
+    del envs
+    gc.collect()
+    assert worker.returncode == 0
+
+
+def test_a_copy_goes_on_by_itself() -> None:
+    envs = small("Explore-v0", action="twist")
+    envs.reset(seed=0)
+    again = pickle.loads(pickle.dumps(envs))
+    for _ in range(3):
+        assert not differences(again.step(np.ones((2, 2))), envs.step(np.ones((2, 2))))
+
+
+def test_workers_know_scenarios_that_were_registered_here(monkeypatch) -> None:
+    monkeypatch.setitem(SCENARIOS, "mine", replace(SCENARIOS["hall"], name="mine"))
+    assert many("Explore-v0", workers=2, scenario="mine").reset(seed=0)[1]["map_error"].shape == (2,)
 
 
 def test_a_worker_that_is_killed_is_told_of() -> None:
