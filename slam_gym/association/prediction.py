@@ -310,7 +310,7 @@ def predict(
     `check_scan`.
     """
     motion = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
-    measured = _NOT_MEASURED if scan is None else (scan.points, scan.covariances)
+    measured = _NOT_MEASURED if scan is None else scan.arrays[:2]
     counts = _ALL_LOCAL if graph is None else graph.counts
     spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)
     k = foresee(m.arrays, (m.n, m.step), motion, measured, rule, (counts, since), pose, rows)

@@ -328,7 +328,7 @@ class StochasticMap:
         if state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
             raise ValueError(f"{path}: a map of {self.n} features is too large for a file")
         with replacing(Path(path)) as file:
-            np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)
+            np.savez_compressed(file, spec=json.dumps(asdict(self.spec), default=lambda number: number.item()), **parts)
 
     @classmethod
     def load(cls, path: str | Path) -> StochasticMap:

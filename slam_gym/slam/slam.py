@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
-from slam_gym.geometry import compose_jacobians, inverse
+from slam_gym.geometry import compose_jacobians, inverse, observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -78,6 +78,8 @@ class Slam:
         relocate: Relocate | None = None,
         atlas: AtlasSpec | None = None,
     ) -> None:
+        if not (spec is None or isinstance(spec, SlamSpec)):
+            raise ValueError(f"spec: {spec!r}, expected a SlamSpec")
         if not (relocate is None or callable(relocate)):
             raise ValueError(f"relocate: {relocate!r} is not a function; relocate_by makes one of a name")
         if not (atlas is None or isinstance(atlas, AtlasSpec)):
@@ -124,12 +126,13 @@ class Slam:
     def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
         """Move the robot by `odometry`; returns what `scan` should show from there, and the locality to search first.
 
-        A map that was loaded may take the place of `map` before the first step. Its features count as covisible where
-        one scan may see them.
+        A map that was loaded may take the place of `map` before the first step. It follows the settings of this Slam,
+        and its features count as covisible where one scan may see them.
         Raises ValueError, before anything is changed, for non-finite numbers and invalid covariances, and where others
         have removed features of the map.
         """
         check_inputs(odometry, scan)
+        self.map.spec = self.spec.map
         if self.map.n != self.covisibility.n:  # the map was loaded, or others have added features
             self._adopt()
         if len(self._adopted):
@@ -179,17 +182,17 @@ class Slam:
         decisions, known = (hypothesis.features, created, is_decided, ids), prediction.expected
         expected, numbers = (known.positions, known.covariances), (m.n, m.step, m.next_id)
         added, removed, became = learn(
-            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings()
+            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings(count)
         )
         self._experience = hypothesis.experience or self._experience
         m.learned(added, len(removed))
         graph.n = m.n
-        if added and self.spec.reach is not None:
-            self._warn_of_reach(scan, created, self.spec.reach)
         self._learned_at.append(m.step)
         if len(removed):
             self.tracker.renumber(became)
         m.end_of_step()
+        if added and self.spec.reach is not None:
+            self._warn_of_reach(scan, created, self.spec.reach)
         return SlamStep(prediction, hypothesis, ids, created, removed)
 
     def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
@@ -315,7 +318,7 @@ class Slam:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
-        self.map.place(found.pose, UNKNOWN_POSE)
+        self.map.place(found.pose, UNKNOWN_POSE * max(1.0, *np.diag(found.covariance)[:2]))
         self.tracker.forget()
         self.tracker.accept(hypothesis)
         self.tracker.relocations += 1
@@ -327,6 +330,10 @@ class Slam:
         m, graph = self.map, self.covisibility
         if m.n < graph.n:
             raise ValueError(f"map: {graph.n - m.n} features were removed by others than this Slam")
+        if not graph.n:  # the robot of a loaded map should see what it saw in its last scan
+            seen = np.flatnonzero(m.last_seen == m.last_seen.max())
+            self.tracker.accept(Hypothesis(seen, 0.0, 0))
+            self.tracker.look(observe(m.pose, m.positions[seen]))
         self._adopted, self._linked = np.concatenate([self._adopted, m.ids[graph.n :]]), math.nan
         graph.add(m.n - graph.n)
 
@@ -337,10 +344,11 @@ class Slam:
         self.covisibility.link(rows[near])
         self._linked = reach
 
-    def _settings(self) -> Settings:
-        """The settings that `learn` takes."""
+    def _settings(self, measured: int) -> Settings:
+        """The settings that `learn` takes. If nothing was `measured`, no unconfirmed feature is removed: odometry may
+        come more often than scans."""
         spec = self.spec.map
-        before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
+        before = -1 if spec.unconfirmed_age is None or not measured else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:

@@ -94,7 +94,10 @@ def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
     array = np.array(kinds, np.int64 if m == 0 and np.size(kinds) == 0 else None)
     if array.shape != (m,) or not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"kinds: {array.dtype} of shape {array.shape}, expected ({m},) integers")
-    return array.astype(np.int64)
+    array = array.astype(np.int64)
+    if ((array < 0) & (array != UNKNOWN_KIND)).any():
+        raise ValueError(f"kinds: {array.min()}, expected numbers from 0, or {UNKNOWN_KIND} where a kind is unknown")
+    return array
 
 
 def compact(array: NDArray[Entry]) -> NDArray[Entry]:

@@ -10,6 +10,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.scenarios import LOG_SETTINGS
+from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
@@ -121,6 +122,27 @@ def test_after_relocation_the_count_of_scans_that_chance_may_explain_starts_agai
     assert not any(doubts(slam.tracker, facing(AHEAD), paired(2)) for _ in range(7))
     slam.step(STILL, scan_of(np.add(AHEAD, [8.0, 5.0])))
     assert slam.relocations == 1 and not doubts(slam.tracker, facing(AHEAD), paired(2))  # not the eighth in a row
+
+
+def test_a_robot_that_is_elsewhere_in_a_loaded_map_is_found(tmp_path) -> None:
+    rng, arc = np.random.default_rng(0), np.array([0.5, 0.0, 0.05])  # in a circle of 10 m
+    features, motion = rng.uniform(-20.0, 20.0, (60, 2)), Odometry.from_motion(arc, [0.05, 0.02, 0.01])
+
+    def drive(slam: Slam, pose: np.ndarray, steps: int) -> np.ndarray:
+        for _ in range(steps):
+            pose = compose(pose, arc)
+            seen = observe(pose, features)
+            seen = seen[np.hypot(*seen.T) < 10.0]
+            slam.step(motion, scan_of(seen + rng.normal(0.0, 0.05, seen.shape), 0.05))
+        return pose
+
+    slam, again = (Slam(LOG_SETTINGS, relocate=relocate_by(SEARCH), atlas=AtlasSpec()) for _ in range(2))
+    drive(slam, np.zeros(3), 120)
+    slam.map.save(tmp_path / "map.npz")
+    again.map = StochasticMap.load(tmp_path / "map.npz")
+    pose = drive(again, drive(Slam(), np.zeros(3), 40), 25)
+    assert again.relocations >= 1 and len(again.maps) == 1
+    assert np.hypot(*(again.map.pose - pose)[:2]) < 0.5
 
 
 def test_the_pose_found_is_what_the_pairings_tell() -> None:

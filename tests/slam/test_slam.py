@@ -52,9 +52,11 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
     slam, places = slam_of(), np.random.default_rng(0).uniform(-9.0, 9.0, (300, 2))
     slam.step(STILL, scan_of(places))
     slam.map.save(tmp_path / "map.npz")
-    again = slam_of()
+    again = slam_of(map=MapSpec(confirmations=np.int64(3)))
     again.map = StochasticMap.load(tmp_path / "map.npz")
     step = again.step(STILL, scan_of(places[::7]))
+    assert step.prediction.confirmations == 3
+    again.map.save(tmp_path / "map.npz")
     assert again.map.n == again.covisibility.n == 300 and np.isin(step.ids, np.arange(300)).all()
     again.map.remove(np.arange(20))
     with pytest.raises(ValueError, match="map: 20 features were removed"):
@@ -83,6 +85,8 @@ def test_a_hypothesis_that_does_not_fit_is_refused_by_name() -> None:
 
 
 def test_a_name_in_place_of_a_function_is_refused_and_an_error_says_whose_it_is() -> None:
+    with pytest.raises(ValueError, match=r"spec: MapSpec.*, expected a SlamSpec"):
+        Slam(MapSpec())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="relocate: 'gcbb' is not a function; relocate_by"):
         Slam(relocate="gcbb")  # type: ignore[arg-type]
     with pytest.raises(ZeroDivisionError) as raised:
@@ -95,6 +99,13 @@ def test_without_a_reach_what_was_seen_once_is_found_again_however_far() -> None
     for _ in range(5):
         step = slam.step(STILL, scan_of([[9, 0], [2, 1]]))
     assert not step.created.any() and slam.map.n == 2 and (slam.map.seen == 5).all()
+
+
+def test_odometry_may_come_more_often_than_scans() -> None:
+    slam = slam_of(map=MapSpec(unconfirmed_age=2))
+    for tick in range(31):
+        slam.step(STILL, scan_of([] if tick % 10 else [[9, 0], [2, 1]]))
+    assert slam.map.n == 2 and (slam.map.seen == 4).all()
 
 
 def test_a_reach_shorter_than_the_sensor_s_is_warned_of() -> None:

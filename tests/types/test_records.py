@@ -70,6 +70,7 @@ def test_sigmas_sizes_and_kinds_are_for_each() -> None:
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=[1, 2]), r"kinds: .* expected \(1,\) integers"),
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=["door"]), r"kinds: .* expected \(1,\) integers"),
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=[0.5]), "kinds: float64"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=[-1]), "kinds: -1, expected .* or -2"),
         (lambda: Scan.from_polar([1, 2], [0.1], 0.1, 0.1), "bearings: shape"),
         (lambda: Odometry.from_motion([1, 0], 0.1), r"motion: shape \(2,\), expected \(3,\)"),
         (lambda: Odometry.from_motion([1, 0, 0], [0.1, 0.1]), "sigmas"),
