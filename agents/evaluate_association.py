@@ -57,7 +57,13 @@ def main(
     if suite:
         from agents.suite import suite_evaluation
         from slam_gym.association import RELOCATORS
+        from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
+        chosen = set(suite_options.experiments or EXPERIMENTS)
+        if relocation and RELOCATION not in chosen:
+            raise ValueError(f"--relocation is about the experiment {RELOCATION}, which was not asked for")
+        if associators and chosen == {RELOCATION}:
+            raise ValueError(f"--associators: the experiment {RELOCATION} is about relocators")
         evaluation = suite_evaluation(suite_options, names, relocation or list(RELOCATORS), split)
     elif recording:
         from agents.evaluation.mapped_log import logs_of, recording_evaluation

@@ -90,7 +90,7 @@ class TwoLaps:
         self.site = survey(scenario.generator(world_generator(split, world)), scenario)
         self.rng = np.random.default_rng((world_seed(split, world), 2, level.number))
         self.sensor = Sensor(self.site.plan, self.site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        self.base = free_start(self.site.plan, self.site.cells, self.rng)
+        self.base = free_start(self.site.plan, self.site.cells, scenario.robot.radius, self.rng)
         lap = lap_around(self.site, self.base, level.spacing)
         back = lap[::-1].copy()
         back[:, 2] += np.pi

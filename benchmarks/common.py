@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
+from agents.evaluation.tables import FEWEST
 from slam_gym import Landmarks, Locality, Scan
 from slam_gym.metrics.statistics import bootstrap_interval, mean
 from slam_gym.recordings import DATA, Recording, open_recordings
@@ -22,7 +23,7 @@ Record = dict[str, Any]
 
 
 def options(about: str | None, **defaults: Any) -> argparse.Namespace:
-    """Parse the command line: `--quick`, `--seed`, and an option for each of `defaults`, a list for a tuple.
+    """Parse the command line: `--quick`, and an option for each of `defaults`, a list for a tuple.
 
     Also limits BLAS to one thread, since on two threads small products take 10 to 100 times as long.
     """
@@ -30,7 +31,6 @@ def options(about: str | None, **defaults: Any) -> argparse.Namespace:
     parser.add_argument(
         "--quick", action="store_true", help="a few small problems, to try the script; its figures mean nothing"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: %(default)s)")
     for name, default in defaults.items():
         many = isinstance(default, tuple)
         kind = type(default[0] if many else default)
@@ -108,7 +108,10 @@ def count_answers(attempts: pd.DataFrame, required: int | None) -> Record:
 
 
 def mean_interval(values: Array, rng: np.random.Generator, sign: str = "") -> str:
-    """The mean of values (n,) with its 95 % bootstrap interval, as text; `sign` is "+" for differences."""
+    """The mean of values (n,) as text; from ten on with its 95 % bootstrap interval: that of fewer is too narrow.
+    `sign` is "+" for differences."""
+    if len(values) < FEWEST:
+        return f"{values.mean():{sign}.3f}"
     found = bootstrap_interval(values, rng, statistic=mean)
     return f"{found.estimate:{sign}.3f} [{found.low:{sign}.3f}, {found.high:{sign}.3f}]"
 

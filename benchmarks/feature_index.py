@@ -77,7 +77,7 @@ def relocations(index: FeatureIndex, queries: list[tuple[Scan, Array]]) -> Recor
 
 
 if __name__ == "__main__":
-    a = options(__doc__, sizes=(1_000, 10_000, 100_000), scans=40)
+    a = options(__doc__, seed=0, sizes=(1_000, 10_000, 100_000), scans=40)
     rng, scans = np.random.default_rng(a.seed), 2 if a.quick else a.scans
     sizes = (300,) if a.quick else a.sizes
     FeatureIndex(point_map(100, rng)[1])  # compiles

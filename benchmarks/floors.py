@@ -36,7 +36,7 @@ from slam_gym.types import Array
 SCENARIO = "building"
 SUFFIX = "_occ_map.npy.gz"
 ASSOCIATORS = ("jcbb", "marginal", "learned", CEILING)
-KEYS = ["floor", "seed", "associator"]
+KEYS = ["floor", "seed", "associator", "ticks"]
 MEASURES = ("map_error_aligned", "map_error", "duplicates", "missed_loop", "precision", "recall", "anees")
 SUMMARY = ["map_error_aligned", "map_error", "batch_aligned", "batch", "duplicates", "precision", "recall"]
 
@@ -81,12 +81,12 @@ if __name__ == "__main__":
         arguments: dict[str, Any] = {"split": "test", "overrides": {"budget": ticks} if ticks else {}}
         arguments |= {"floor_plan": file_of(floor), "resolution": 0.1} if floor else {}
         for seed in a.seeds:
-            remaining = [associator for associator in a.associators if (name, seed, associator) not in done]
+            remaining = [associator for associator in a.associators if (name, seed, associator, ticks) not in done]
             if not remaining:
                 continue
             speeds = one_drive(SCENARIO, seed, relocation=None, **arguments)
             for associator in remaining:
-                row = dict(zip(KEYS, (name, seed, associator))) | replayed(arguments, seed, speeds, associator)
+                row = dict(zip(KEYS, (name, seed, associator, ticks))) | replayed(arguments, seed, speeds, associator)
                 rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
                 table("", [row])
                 if out is not None:

@@ -125,7 +125,7 @@ def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]
 
 
 if __name__ == "__main__":
-    a = options(__doc__, variants=tuple(VARIANTS), seeds=3, timesteps=400_000, worlds=20, out="")
+    a = options(__doc__, seed=0, variants=tuple(VARIANTS), seeds=3, timesteps=400_000, worlds=20, out="")
     names, seeds = (["no outlook", "reward per scan"], 1) if a.quick else (a.variants, a.seeds)
     timesteps, worlds, scenarios = (3_000, 1, SCENARIOS[:1]) if a.quick else (a.timesteps, a.worlds, SCENARIOS)
     with TemporaryDirectory() as temporary:

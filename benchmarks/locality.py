@@ -136,7 +136,7 @@ def exponents(attempts: pd.DataFrame, fitted_from: int, seed: int) -> list[Recor
 
 
 if __name__ == "__main__":
-    a = options(__doc__, scans=30, judged=500, largest=12_800)
+    a = options(__doc__, seed=0, scans=30, judged=500, largest=12_800)
     scans, judged, largest = (2, 4, 100) if a.quick else (a.scans, a.judged, a.largest)
     sizes = [n for n in (50, 100, 200, 400, 800, 1600, 3200, 6400, 12_800) if n <= largest]
     attempts, localities = sweep(searches(rivals=False), sizes, 8, scans, a.seed)

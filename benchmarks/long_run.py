@@ -117,7 +117,7 @@ def check_covariance(covariance: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    a = options(__doc__, ticks=1_000_000, length=1500, first=0, associator="")
+    a = options(__doc__, seed=0, ticks=1_000_000, length=1500, first=0, associator="")
     ticks, length = (200, 20) if a.quick else (a.ticks, a.length)
     total, number, broken = 0, a.first, 0
     megabytes: list[float] = []

@@ -53,7 +53,7 @@ def logs(whole: Recording, seed: int, count: int) -> Iterator[tuple[str, str, Re
 
 
 if __name__ == "__main__":
-    a = options(__doc__, associators=("jcbb", "marginal"), simulated=16, out="")
+    a = options(__doc__, seed=0, associators=("jcbb", "marginal"), simulated=16, out="")
     whole = published("dlr")
     if whole is None:
         raise SystemExit

@@ -108,7 +108,7 @@ def map_errors(ids: Array, places: Array, features: Array, source: dict[int, int
 
 if __name__ == "__main__":
     features = (50, 100, 200, 500, 1000, 2000, 5000)
-    a = options(__doc__, features=features, steps=15, drives=(500, 1000, 5000), one_map=1000)
+    a = options(__doc__, seed=0, features=features, steps=15, drives=(500, 1000, 5000), one_map=1000)
     sizes, drives, steps = ((50,), (50,), 3) if a.quick else (a.features, a.drives, a.steps)
     rows = [step_and_update(n, steps, np.random.default_rng(a.seed)) for n in sizes]
     table(f"Steps of {PAIRINGS} pairings by the size of the map; medians", rows)

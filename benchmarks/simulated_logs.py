@@ -163,7 +163,7 @@ def simulated(kind: LogKind, seed: int) -> Recording:
 
 
 if __name__ == "__main__":
-    a = options(__doc__, associators=("jcbb", "marginal", CEILING), seeds=4, kinds=tuple(KINDS))
+    a = options(__doc__, seed=0, associators=("jcbb", "marginal", CEILING), seeds=4, kinds=tuple(KINDS))
     rows = []
     for name, seed in product(a.kinds, range(a.seed, a.seed + (1 if a.quick else a.seeds))):
         kind = KINDS[name]

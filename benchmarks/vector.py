@@ -39,7 +39,7 @@ def blocks_of(envs: Any, ticks: int, seed: int) -> Iterator[float]:
 
 
 if __name__ == "__main__":
-    a = options(__doc__, worlds=8, workers=2, scenario="office", blocks=7)
+    a = options(__doc__, seed=0, worlds=8, workers=2, scenario="office", blocks=7)
     n, blocks = (2, 1) if a.quick else (a.worlds, a.blocks)
     rows: list[Record] = []
     for action, ticks in (("twist", 100), ("goal", 200)):

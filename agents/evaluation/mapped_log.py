@@ -339,6 +339,8 @@ def recording_evaluation(
         for name, searches in contenders(associators, relocations).items()
         if searches[0] != CEILING or (log.sources != UNLABELLED).any()  # without labels it pairs nothing
     ]
+    if not tasks:
+        raise ValueError(f"{CEILING} needs identities, and no measurement has one")
     about = {
         "settings": {log.name: asdict(slam_for(log)) for log in logs},
         "models": hashes_of(*associators, conditions["recording"]),

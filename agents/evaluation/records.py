@@ -1,6 +1,7 @@
 """Records of episodes, and the files with records and their provenance."""
 
 import math
+import os
 import platform
 import re
 import shlex
@@ -31,7 +32,7 @@ def results_folder(name: str, resume: bool) -> Path:
     """A new folder in results/ of the current directory or, to resume, the latest one of that name."""
     results, name = Path("results"), stem(name)
     if not resume:
-        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
     folders = sorted(results.glob(f"{name}-[0-9]*"))
     if not folders:
         raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --output")

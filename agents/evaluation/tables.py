@@ -127,8 +127,10 @@ def estimate(
 
 
 def estimate_of(frame: pd.DataFrame, key: str, statistic: Statistic = interquartile_mean) -> Interval:
-    """The estimate of a number over episodes. Settings and models are strata, since their differences are not noise."""
-    return estimate(frame[key], frame.groupby(["setting", "model"]).ngroup(), statistic=statistic)
+    """The estimate of a number over episodes (means over models, which share the worlds). Settings are strata, since
+    their differences are not noise."""
+    means = frame.groupby(["setting", "episode"], sort=False)[key].mean()
+    return estimate(means, means.index.get_level_values("setting"), statistic=statistic)
 
 
 def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value]:

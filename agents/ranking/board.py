@@ -5,6 +5,7 @@ import html
 import math
 import re
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,15 +64,17 @@ def entry_of(results: Results) -> Entry:
 
 
 def read_entries(folders: Iterable[Path]) -> tuple[list[Entry], list[str]]:
-    """The entries in the folders of evaluations, and a line for each folder without a valid one."""
-    entries, invalid = [], []
+    """The entries in the folders of evaluations, by time, and a line for each folder without a valid one."""
+    entries, invalid = list[tuple[str, Entry]](), []
     for folder in sorted(folders):
         try:
             with undamaged(f"{folder}: the entry"):
-                entries.append(entry_of(read_results(folder)))
+                results = read_results(folder)
+                began = max((str(command["started"]) for command in results.metadata["commands"]), default="")
+                entries.append((began, entry_of(results)))
         except (ValueError, OSError) as error:
             invalid.append(" ".join(str(error).split()))
-    return entries, invalid
+    return [entry for _, entry in sorted(entries, key=itemgetter(0))], invalid
 
 
 def folders_in(board: Path) -> set[Path]:

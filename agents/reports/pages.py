@@ -56,11 +56,10 @@ class Picture(NamedTuple):
 
 
 class Film(NamedTuple):
-    """A film of the first episode with its last picture and map error; the error is None for several side by side."""
+    """A film of the first episode with its last picture."""
 
     name: str  # of the agent, or BESIDE
     path: Path  # .mp4; the picture beside it is .png
-    error: float | None
 
 
 class Maps(NamedTuple):
@@ -132,10 +131,9 @@ def drives_page(results: Results, folder: Path) -> Page:
         corner = f"{'' if drivers else 'aligned '}map error of … minus that of"
         against = Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True)
         (parts if any(table.differences for table in first) else first).insert(0, against)
-    errors = {name: own.loc[own["episode"].idxmin(), "map_error"] for name, own in groups.items()}
-    for name, of_first in {BESIDE: None, **errors}.items():
+    for name in (BESIDE, *groups):
         if (path := film_path(folder, name)).with_suffix(".png").exists():
-            parts.append(Film(name, path, of_first))
+            parts.append(Film(name, path))
     title = "Drivers" if drivers else "Associators in the loop"
     subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all"
     return Page(title, subtitle, parts, "drives.html", first)

@@ -27,7 +27,7 @@ from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.ppo import ppo, walk_by
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
-from slam_gym.types import Hypothesis, Relocator, Scan
+from slam_gym.types import Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
 from slam_gym.validation import check_hypothesis, imported
 
 __all__ = [
@@ -118,7 +118,32 @@ class _ReadOnlyScan:
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
     """The relocator given by name, as `"module:name"`, or as a function. Raises ValueError as `resolve_associator`."""
     resolved: Relocator = _resolve("relocator", relocator, RELOCATORS)
-    return resolved
+    is_checked = getattr(resolved, "is_checked", False) or any(resolved is known for known in RELOCATORS.values())
+    return resolved if is_checked else _ReadOnlySearch(resolved)
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadOnlySearch:
+    """A user's relocator, called with a scan and landmarks whose arrays are read-only. Its errors, and those of its
+    relocation, name it."""
+
+    search: Relocator
+    is_checked: ClassVar[bool] = True
+
+    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+        name = getattr(self.search, "__name__", repr(self.search))
+        try:
+            found = self.search(scan.read_only(), landmarks.read_only(), locality)
+        except Exception as error:
+            error.add_note(f"raised by relocator {name}")
+            raise
+        if not isinstance(found, Relocation):
+            raise ValueError(f"relocator {name}: returned {type(found).__name__}, not a Relocation")
+        try:
+            check_hypothesis(Hypothesis(found.features, 0.0, 0), len(scan), len(landmarks))
+        except ValueError as error:
+            raise ValueError(f"relocator {name}: {error}") from None
+        return found
 
 
 def _resolve(role: str, value: Any, table: Mapping[str, Any]) -> Any:

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
@@ -25,7 +25,7 @@ from slam_gym.mapping.measurement import foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import Array, BoolArray, Experience, Hypothesis, IntArray, Odometry, Scan
-from slam_gym.types._fields import Entry, floats, kinds_of, sizes_of
+from slam_gym.types._fields import floats, kinds_of, locked, sizes_of
 
 PredictionArrays = tuple[Any, ...]
 """The fields of `Expected` as compiled functions take them: plain tuples pass from Python faster than named ones."""
@@ -102,52 +102,52 @@ class Prediction:
     @property
     def features(self) -> IntArray:
         """(k,) index of each feature in the map."""
-        return _locked(self.expected.features)
+        return locked(self.expected.features)
 
     @property
     def kinds(self) -> IntArray:
         """(k,) class of each feature, UNKNOWN_KIND where unknown."""
-        return _locked(self.expected.kinds)
+        return locked(self.expected.kinds)
 
     @property
     def ages(self) -> IntArray:
         """(k,) [steps] since each feature was first seen."""
-        return _locked(self.expected.ages)
+        return locked(self.expected.ages)
 
     @property
     def sightings(self) -> IntArray:
         """(k,) number of scans that updated or started each feature; 0 where the map does not count."""
-        return _locked(self.expected.sightings)
+        return locked(self.expected.sightings)
 
     @property
     def sizes(self) -> Array:
         """(k,) [m] mapped intrinsic attribute, NaN where unknown."""
-        return _locked(self.expected.sizes)
+        return locked(self.expected.sizes)
 
     @property
     def size_variances(self) -> Array:
         """(k,) [m²] variance of each size."""
-        return _locked(self.expected.size_variances)
+        return locked(self.expected.size_variances)
 
     @property
     def near(self) -> BoolArray:
         """(k,) paired in a recent scan, or local to a feature that was; all true without localities."""
-        return _locked(self.expected.near)
+        return locked(self.expected.near)
 
     @property
     def positions(self) -> Array:
         """(k, 2) [m] h_j(x) in R."""
-        return _locked(self.expected.positions)
+        return locked(self.expected.positions)
 
     @property
     def covariances(self) -> Array:
         """(k, 2, 2) [m²] H_j P H_jᵀ."""
-        return _locked(self.expected.covariances)
+        return locked(self.expected.covariances)
 
     @property
     def heading_covariances(self) -> Array:
         """(k, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ."""
-        return _locked(self.expected.across)
+        return locked(self.expected.across)
 
     @property
     def heading_variance(self) -> float:
@@ -157,7 +157,7 @@ class Prediction:
     @property
     def provisional(self) -> BoolArray:
         """(k,) whether each feature has fewer sightings than confirm it."""
-        return _locked(self.sightings < self.confirmations)
+        return locked(self.sightings < self.confirmations)
 
     @property
     def has_localities(self) -> bool:
@@ -324,9 +324,3 @@ def predict(
         spec.second_order, view_moves,
     )  # fmt: skip
     return Prediction(expected, spec.confidence, spec.confirmations, experience, m.estimate)
-
-
-def _locked(array: NDArray[Entry]) -> NDArray[Entry]:
-    view = array.view()
-    view.flags.writeable = False
-    return view

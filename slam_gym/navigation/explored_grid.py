@@ -39,7 +39,8 @@ def shape_of(bounds: Array, cell: float) -> tuple[int, int]:
         raise ValueError(f"side of a cell: expected a finite length > 0 [m], got {cell}")
     width, height = np.ceil((bounds[2:] - bounds[:2]) / cell - 1e-9)
     if width * height > _MAX_CELLS:
-        raise ValueError(f"bounds: {width:.0f} × {height:.0f} cells are more than {_MAX_CELLS}")
+        size = f"{width:.0f} × {height:.0f} cells of {cell:g} m"
+        raise ValueError(f"bounds: {size} are more than {_MAX_CELLS}; a coarser `grid_resolution` has fewer")
     return int(height), int(width)
 
 

@@ -75,6 +75,8 @@ class PostsGenerator:
         side = math.sqrt(_POSTS / self.density)
         corners = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
         positions, kinds = rng.uniform(0.0, side, (_POSTS, 2)), np.full(_POSTS, int(Kind.PILLAR))
+        while len(np.unique(np.round(positions, 3), axis=0)) < _POSTS:  # a plan has no two features in one millimetre
+            positions = rng.uniform(0.0, side, (_POSTS, 2))
         posts = Features(positions, kinds, np.full(_POSTS, 0.05))
         return FloorPlan("posts", np.hstack([corners, np.roll(corners, -1, axis=0)]), posts, (Room("room", corners),))
 

@@ -50,6 +50,10 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
     speed, turn = float(robot.max_speed), float(robot.max_turn)
     path, requested, seen = np.empty((0, 2)), goal, False
     nearest, stalled = math.inf, 0
+    unhurried = (
+        math.pi / turn + 2.0 * STUCK_DISTANCE / speed
+    ) / episode.scenario.dynamics.tick  # [ticks] if it is slow
+    patience = max(STUCK_TICKS, math.ceil(unhurried))
     ticks = 0
     while not episode.over:
         pose = episode.slam.map.pose
@@ -61,7 +65,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
             goal = path[-1]  # a place nearby, if the goal itself is no longer reachable
         remaining = length_left(path, pose[:2])
         nearest, stalled = (remaining, 0) if remaining < nearest - STUCK_DISTANCE else (nearest, stalled + 1)
-        if math.dist(pose[:2], goal) < ARRIVED or stalled > STUCK_TICKS:
+        if math.dist(pose[:2], goal) < ARRIVED or stalled > patience:
             break
         episode.path = path
         yield follow(pose, path, speed, turn)

@@ -84,7 +84,7 @@ class Episode:
         atlas: AtlasSpec | None = None,
     ) -> None:
         self.scenario, self.site, self.rng = scenario, site, rng
-        self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
+        self.base = free_start(site.plan, site.cells, scenario.robot.radius, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         slam = scenario.slam

@@ -124,6 +124,6 @@ def _outside(mapped: MappedWorld, scenario: Scenario, rng: np.random.Generator) 
     if site is None:
         raise ValueError(f"outside: the scenario {scenario.name!r} has one world only, and all of it is inside")
     sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-    true = free_start(site.plan, site.cells, rng)
+    true = free_start(site.plan, site.cells, scenario.robot.radius, rng)
     scan, _ = sensor.scan(true, rng)
     return Kidnapped(scan, False, true, np.full(3, np.nan), np.full(len(scan), UNPAIRED))

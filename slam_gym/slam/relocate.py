@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
+from slam_gym.association import gcbb, max_clique, random_sampling, resolve_relocator
 from slam_gym.association.acceptance import log_expected_pairings, min_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
@@ -237,7 +237,6 @@ def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisi
     Raises ValueError for an unknown search or locality.
     """
     find = resolve_relocator(search)
-    is_built_in = any(find is known for known in RELOCATORS.values())
     prunes = find in (gcbb, max_clique, random_sampling)
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
@@ -249,9 +248,7 @@ def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisi
         local_to = locality_of(graph, m.positions, reach, locality)
         needed = max(min_pairings(scan, landmarks, probability=_CHANCE), math.ceil(_EXPLAINED * len(scan)))
         bound = {"min_pairings": needed} if prunes else {}  # the search skips hypotheses with fewer
-        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to, **bound)
-        if not isinstance(found, Relocation):
-            raise ValueError(f"relocator: returned {type(found).__name__}, not a Relocation")
+        found = find(scan, landmarks, local_to, **bound)
         if not found.accepted or found.pairings < needed:
             return None
         return found if view_from is None or _shows(found, m, reach, view_from) else None

@@ -238,7 +238,13 @@ class Slam:
 
     @property
     def _most_accidental(self) -> float:
-        """The number of accidental matches in the gate of an old feature above which that feature is not offered."""
+        """The number of accidental matches in the gate of an old feature above which that feature is not offered.
+
+        Where a loop seems to have been missed, none is: the pose may be wrong, and the search for loops decides by more
+        pairs than a scan has. Without a known view, the sign is not reliable enough.
+        """
+        if self.atlas is not None and self.view_from is not None and self.missed_loop:
+            return 0.0
         is_exempt = self.atlas is None or (self._weighs_all and self.spec.trust_marginals)
         return math.inf if is_exempt else self.spec.max_accidental_matches
 
@@ -345,10 +351,10 @@ class Slam:
         self._linked = reach
 
     def _settings(self, measured: int) -> Settings:
-        """The settings that `learn` takes. If nothing was `measured`, no unconfirmed feature is removed: odometry may
-        come more often than scans."""
-        spec = self.spec.map
-        before = -1 if spec.unconfirmed_age is None or not measured else self.map.step - spec.unconfirmed_age
+        """The settings that `learn` takes. Where the view is unknown, a step in which nothing was `measured` removes no
+        unconfirmed feature: it may be one of odometry alone."""
+        spec, looked = self.spec.map, measured > 0 or self.view_from is not None
+        before = self.map.step - spec.unconfirmed_age if looked and spec.unconfirmed_age is not None else -1
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:

@@ -8,7 +8,7 @@ array does not have the type and shape that compiled functions read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from slam_gym.types._fields import (
     floats,
     in_radians,
     kinds_of,
+    locked,
     sizes_of,
 )
 from slam_gym.types._fields import UNKNOWN_KIND as UNKNOWN_KIND  # `as`: also for modules that import from here
@@ -101,10 +102,7 @@ class Scan:
 
     def read_only(self) -> Scan:
         """The same measurements in arrays that cannot be written to."""
-        views = [array.view() for array in self.arrays]
-        for view in views:
-            view.flags.writeable = False
-        return Scan(*views)  # type: ignore[arg-type]
+        return Scan(*map(locked, self.arrays))  # type: ignore[arg-type]
 
     @classmethod
     def from_points(
@@ -238,6 +236,10 @@ class Landmarks:
 
     def __repr__(self) -> str:
         return f"Landmarks: {len(self)} features"
+
+    def read_only(self) -> Landmarks:
+        """The same features in arrays that cannot be written to."""
+        return Landmarks(*(locked(getattr(self, field.name)) for field in fields(self)))
 
     @classmethod
     def from_points(

@@ -100,6 +100,13 @@ def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
     return array
 
 
+def locked(array: NDArray[Entry]) -> NDArray[Entry]:
+    """The array, which cannot be written to by this view."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def compact(array: NDArray[Entry]) -> NDArray[Entry]:
     """The array as loops are compiled for: C-contiguous, and marked writeable. They do not write to it."""
     view = np.ascontiguousarray(array).view()

@@ -37,13 +37,15 @@ class Contents:
 
 
 def check_limits(settings: object, low: float, high: float, *names: str) -> None:
-    """Raise ValueError, naming the field, unless these fields are numbers, or ranges of two numbers, in [low, high]."""
+    """Raise ValueError, naming the field, unless these fields are numbers in [low, high], or ranges of two numbers, as
+    their defaults are."""
     for name in names:
-        value = getattr(settings, name)
-        smallest, largest = np.broadcast_to(value, 2)
-        if not low <= smallest <= largest <= high:
-            what = "a number, or a range (smallest, largest)," if np.ndim(value) else "a number"
-            raise ValueError(f"{type(settings).__name__}.{name}: {value} is not {what} within [{low:g}, {high:g}]")
+        given, default = getattr(settings, name), getattr(type(settings), name)
+        value, whole = np.ravel(given), isinstance(default, int)
+        fits = np.shape(given) == np.shape(default) and value.dtype.kind in ("iu" if whole else "iuf")
+        if not (fits and low <= value[0] <= value[-1] <= high):
+            what = "a range (smallest, largest)" if np.ndim(default) else "a whole number" if whole else "a number"
+            raise ValueError(f"{type(settings).__name__}.{name}: {given!r} is not {what} within [{low:g}, {high:g}]")
 
 
 def draw(rng: np.random.Generator, limits: Limits) -> float:
@@ -131,7 +133,7 @@ class Draft:
         (x1, y1, x2, y2), (across, along) = floor, floor.sides
         side = int(self.rng.choice(4, p=np.array([across, across, along, along]) / (2 * (across + along))))
         low, high = (x1, x2) if side < 2 else (y1, y2)
-        if high - low < width + 2 * _TO_CORNER:
+        if high - low < width + 2 * _TO_CORNER or (along if side < 2 else across) < depth + _PASSAGE:
             return
         for _ in range(_TRIES):
             start = draw(self.rng, (low + _TO_CORNER, high - _TO_CORNER - width))

@@ -58,7 +58,7 @@ class Motion:
 
     moved: Array  # (3,) [m, m, rad] pose at the end of the tick, in R at the tick's start
     wheels: Array  # (3,) [m, m, rad] the same by the turning of the wheels; it differs where they slipped
-    contact: bool  # the robot touched something during the tick
+    contact: bool  # the robot touched something, or its wheels lost their grip, during the tick
 
 
 class _Wheels:
@@ -68,6 +68,7 @@ class _Wheels:
         self._robot, self._body, self._moment, self._step = robot, body, body.moment, step
         self.speed, self.turning = 0.0, 0.0  # [m/s, rad/s] of the robot, if the wheels do not slip
         self.odometry = (0.0, 0.0, 0.0)  # [m, m, rad] motion by the wheels since the last reset, in R at that time
+        self.slipped = False  # since then
 
     def push(self, forward: float, turn: float) -> None:
         """Apply the force and torque that push the robot towards the wheels' next speeds, limited by traction.
@@ -91,6 +92,7 @@ class _Wheels:
         dx, dy = speed * c - vx, speed * s - vy
         needed = math.hypot(dx, dy)
         if needed > grip:
+            self.slipped = True
             dx, dy = dx * grip / needed, dy * grip / needed
             speed = (vx + dx) * c + (vy + dy) * s
         self.speed, self.turning = speed, spin
@@ -142,7 +144,7 @@ class World:
                 raise ValueError(f"action ({forward}, {turn}) is not a number")
             forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
         before, wheels, contact = self.pose, self._wheels, self._touches()
-        wheels.odometry = (0.0, 0.0, 0.0)
+        wheels.odometry, wheels.slipped = (0.0, 0.0, 0.0), False
         self._people.walk(self.dynamics.tick, before[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
@@ -153,7 +155,7 @@ class World:
         self._update_pose()
         if not all(piece.is_sleeping for piece in self._pieces):
             self._follow_furniture()
-        return Motion(relative(before, self.pose), np.array(wheels.odometry), contact)
+        return Motion(relative(before, self.pose), np.array(wheels.odometry), contact or wheels.slipped)
 
     def _touches(self) -> bool:
         """Whether something touches the robot now."""

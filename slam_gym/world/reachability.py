@@ -10,7 +10,7 @@ from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NOTHING, Packed, box_distance, pull_back, seen_from
 
-_START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
+_START_CLEARANCE, _START_GAP = 0.3, 0.05  # [m] least distance of furniture from a robot's first position; from its rim
 
 
 @dataclass(frozen=True)
@@ -81,18 +81,20 @@ def observable(plan: FloorPlan, walls: Packed, cells: Array, max_range: float) -
     return seen_from(walls, np.ascontiguousarray(cells), features.positions, pull_back(features), max_range, NOTHING)
 
 
-def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator) -> Array:
-    """A random pose (3,) in W: one of `cells` (c, 2) [m] at least 0.3 m from all furniture, any heading.
+def free_start(plan: FloorPlan, cells: Array, radius: float, rng: np.random.Generator) -> Array:
+    """A random pose (3,) in W of a robot of this radius [m]: one of `cells` (c, 2) [m] that is at least 0.3 m from all
+    furniture, and that the robot does not touch, with any heading.
 
     Raises ValueError where there is no such cell.
     """
     if len(cells) == 0:
         raise ValueError(f"floor plan {plan.name!r} has no free space for the robot to start in")
+    clearance = max(_START_CLEARANCE, radius + _START_GAP)
     for i in rng.permutation(len(cells)):
         x, y = cells[i]
-        if box_distance(x, y, plan.furniture) >= _START_CLEARANCE:
+        if box_distance(x, y, plan.furniture) >= clearance:
             return np.array([x, y, rng.uniform(-math.pi, math.pi)])
-    raise ValueError(f"floor plan {plan.name!r}: furniture stands within {_START_CLEARANCE} m of every free place")
+    raise ValueError(f"floor plan {plan.name!r}: furniture stands within {clearance:g} m of every free place")
 
 
 def _between(low: float, high: float, cell: float) -> slice:

@@ -76,10 +76,10 @@ class OdometrySpec(Checked):
     turn_per_radian: float = 0.03  # [rad/√rad]
     turn_per_metre: float = 0.02  # [rad/√m]
     floor: float = 1e-4  # [m] and [rad] per tick, even at rest
-    slip_forward: float = 0.8  # [m/m] of the wheels' distance, while the robot touches something
+    slip_forward: float = 0.8  # [m/m] of the wheels' distance, while the robot touches something or its wheels slip
     slip_lateral: float = 0.4  # [m/m]
     slip_turn: float = 0.7  # [rad/m]
-    slip_floor: float = 0.005  # [m] and [rad] per tick, while the robot touches something
+    slip_floor: float = 0.005  # [m] and [rad] per tick, likewise
 
 
 class Sensor:

@@ -88,6 +88,7 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
         (["--resolution", "0.1"], ("resolution=0.1 goes with a floor_plan",)),
         (["--suite", "--recording", "mrclam"], ("give one of them",)),
         (["--experiments", "closure"], ("--experiments belongs to --suite, which was not asked for",)),
+        (["--suite", "--experiments", "closure", "--relocation", "gcbb"], ("--relocation is about the experiment",)),
         (["--recording", "mrclam", "--worlds", "2"], ("--worlds belongs to --suite, not to --recording",)),
         (["--recording", "victoria_park"], ("not part of this package", "SLAM_GYM_DATA", "Cite: Guivant")),
         (["--recording", "park"], ("unknown recording 'park'; known: victoria_park, mrclam, dlr, FILE",)),

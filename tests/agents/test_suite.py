@@ -164,15 +164,30 @@ def test_answers_do_not_depend_on_who_else_is_asked():
         assert json.dumps(alone | drop) == json.dumps(record | drop)
 
 
-NOWHERE = (np.empty(0, np.int64), np.zeros(3), np.eye(3), 0.0, 0)
+NOWHERE = (np.zeros(3), np.eye(3), 0.0, 0, 4, False, 0, Effort())
 
 
 def silent(scan, landmarks, locality):
-    return Relocation(*NOWHERE, 4, False, 0, Effort())
+    return Relocation(np.full(len(scan), UNPAIRED), *NOWHERE)
 
 
 def eager(scan, landmarks, locality):
-    return Relocation(np.arange(99), *NOWHERE[1:], 4, False, 0, Effort())
+    return Relocation(np.arange(len(scan)), *NOWHERE)
+
+
+def hasty(scan, landmarks, locality):
+    landmarks.positions[:] += 1.0
+
+
+def sloppy(scan, landmarks, locality):
+    return Relocation(np.arange(len(scan)) + 10_000, *NOWHERE)
+
+
+@pytest.mark.parametrize(("name", "what"), [("hasty", "read-only"), ("sloppy", "relocator sloppy: .*10000")])
+def test_a_relocator_spoils_nothing_of_others_and_its_errors_name_it(name, what):
+    with pytest.raises(ValueError, match=what) as raised:
+        run("kidnapped/0", 0, (f"{__name__}:{name}", "gcbb"), 4)
+    assert name in str(raised.value) or raised.value.__notes__ == [f"raised by relocator {name}"]
 
 
 def test_neither_silence_nor_eagerness_pays():

@@ -10,7 +10,7 @@ from slam_gym import Odometry, Scan, Slam, jcbb
 from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tree import interpretation_tree
-from slam_gym.rendering.plot import plot_episode, plot_error, plot_map, plot_path, plot_scan, plot_tree
+from slam_gym.rendering.plot import plot_episode, plot_error, plot_map, plot_scan, plot_tree
 
 POSTS = np.array([[8.0, 1.0], [6.0, -2.0], [7.0, 3.0]])
 
@@ -35,12 +35,6 @@ def test_a_map_is_drawn_where_it_lies_with_its_ellipses(slam):
     assert len(ax.collections[0].get_offsets()) == 3 and ax.get_aspect() == 1.0
     sigmas = np.sqrt(np.linalg.eigvalsh(slam[0].map.covariances))
     assert np.allclose(2 * ax.collections[0]._widths, 4.0 * sigmas[:, 1])  # matplotlib keeps half of what it was told
-
-
-def test_a_path_is_the_line_through_its_poses(slam):
-    ax = plot_map(slam[0].map)
-    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.2]])
-    assert plot_path(poses, ax, color="k") is ax and np.array_equal(ax.lines[-1].get_xydata(), poses[:, :2])
 
 
 def test_a_scan_is_drawn_with_an_arrow_for_each_pairing(slam):
@@ -93,7 +87,3 @@ def test_a_tree_that_nobody_could_look_at_is_refused():
 def test_the_error_of_a_path_is_its_distance_from_the_truth():
     ax = plot_error([[0.0, 0.0, 1.0], [3.0, 4.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]])
     assert ax.lines[0].get_ydata().tolist() == [0.0, 5.0] and ax.get_aspect() == "auto"
-
-
-def test_a_map_draws_itself(slam):
-    assert np.array_equal(points(slam[0].map.plot()), points(plot_map(slam[0].map)))

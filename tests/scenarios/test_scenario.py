@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam_gym.envs.explore import ExploreEnv
-from slam_gym.scenarios import SPLITS, KidnappingSpec, get_scenario, world_seed
+from slam_gym.scenarios import SPLITS, KidnappingSpec, get_scenario, world_generator, world_seed
 from slam_gym.world.floor_plan import FloorPlan
 
 
@@ -19,6 +19,10 @@ def assert_frozen(record: Any) -> None:
         if is_dataclass(getattr(record, field.name)):
             assert_frozen(getattr(record, field.name))
     hash(record)
+
+
+def test_posts_that_would_coincide_are_drawn_again() -> None:
+    assert len(get_scenario("density/4").generator(world_generator("test", 260)).features) == 100
 
 
 def test_train_and_test_seeds_never_overlap() -> None:

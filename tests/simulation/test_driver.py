@@ -72,6 +72,17 @@ def test_goals_are_reached_lost_or_out_of_date_and_hardly_ever_given_up(carried)
     assert count["stuck"] <= 0.05 * len(carried), count
 
 
+def test_a_robot_that_turns_slowly_is_waited_for() -> None:
+    env = explore(replace(get_scenario("office"), robot=RobotSpec(max_turn=0.5)))
+    (_, info), rng, reasons = env.reset(seed=0), np.random.default_rng(0), []
+    while len(reasons) < 12 and not env.episode.over:
+        slot = random_action(env, info, rng)
+        goal = env.goals.positions[slot].copy()
+        *_, info = env.step(slot)
+        reasons.append(why_handed_back(env, slot, goal))
+    assert len(reasons) > 5 and "stuck" not in reasons, reasons
+
+
 def test_frontiers_that_do_not_go_away_are_noted_and_others_are_not(carried) -> None:
     for goal in carried:
         if goal.slot == LOOK or goal.slot >= FIRST_REVISIT:

@@ -24,6 +24,7 @@ GENERATORS = {
     "hall": HallGenerator(),
     "loop": LoopGenerator(),
     "loop-crowded": LoopGenerator(contents=CROWDED),
+    "loop-deep": LoopGenerator(contents=Contents(pilasters=0.3, pilaster_depth=(1.0, 2.0))),
     "hall-crowded": HallGenerator(contents=Contents(pilasters=0.5, pillars=120.0, furniture=30.0)),
 }
 every_generator = pytest.mark.parametrize("generator", GENERATORS.values(), ids=GENERATORS)
@@ -83,7 +84,8 @@ def test_aliased_rooms_are_identical_and_equally_spaced(seed):
 @pytest.mark.parametrize(
     ("build", "field"),
     [
-        (lambda: OfficeGenerator(rooms=0), "OfficeGenerator.rooms"),
+        (lambda: OfficeGenerator(rooms=4.5), "OfficeGenerator.rooms: 4.5 is not a whole number"),
+        (lambda: OfficeGenerator(door_width=1.0), r"OfficeGenerator.door_width: 1.0 is not a range \(smallest, larg"),
         (lambda: OfficeGenerator(door_width=(0.3, 1.0)), "OfficeGenerator.door_width"),
         (lambda: OfficeGenerator(door_width=(1.2, 1.0)), "OfficeGenerator.door_width"),
         (lambda: OfficeGenerator(room_width=(1.0, 5.0)), "OfficeGenerator.room_width"),

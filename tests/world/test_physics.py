@@ -54,6 +54,14 @@ def test_in_the_open_the_wheels_tell_the_whole_motion():
         np.testing.assert_allclose(pose, world.pose, atol=1e-10)
 
 
+def test_wheels_that_lose_their_grip_in_a_curve_say_so():
+    robot = RobotSpec(max_speed=2.0, max_turn=4.0)
+    world = World(HALL, np.array([5.0, 5.0, 0.0]), robot, DynamicsSpec(), np.random.default_rng(0))
+    motions = [world.tick(1.0, float(tick >= 10)) for tick in range(20)]
+    assert not any(motion.contact for motion in motions[:10]) and motions[-1].contact
+    assert abs(motions[-1].moved[1] - motions[-1].wheels[1]) > 0.01
+
+
 def run(seed, ticks=400):
     world = world_in(TWO_ROOMS, 2, 2, seed=seed, people=3)
     actions = np.random.default_rng(99).uniform(-1, 1, (ticks, 2)) * [0.5, 1.0] + [0.5, 0.0]

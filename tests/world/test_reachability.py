@@ -74,7 +74,7 @@ def test_nothing_is_reachable_where_nothing_is_free():
     cells = reachable(plan, free_cells(plan, 0.2))
     assert cells.shape == (0, 2)
     with pytest.raises(ValueError, match="'crack' has no free space"):
-        free_start(plan, cells, np.random.default_rng(0))
+        free_start(plan, cells, 0.2, np.random.default_rng(0))
 
 
 def test_features_can_be_observed_from_reachable_cells_only():
@@ -96,20 +96,21 @@ def test_features_can_be_observed_from_reachable_cells_only():
     assert not observable(plan, index, cells[:0], 6.0).any(), "no cell to see from"
 
 
-def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
+@pytest.mark.parametrize(("radius", "distance"), [(0.2, 0.3), (0.4, 0.45)])
+def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor(radius, distance):
     furniture = np.array([[3.0, 2.5, 2.0, 0.8, 0.4], [8.0, 1.0, 0.6, 0.6, 0.0]])
-    plan, rng = two_rooms(0.9, furniture=furniture), np.random.default_rng(4)
-    cells = reachable(plan, free_cells(plan, 0.2))
-    starts = np.array([free_start(plan, cells, rng) for _ in range(300)])
+    plan, rng = two_rooms(1.2, furniture=furniture), np.random.default_rng(4)
+    cells = reachable(plan, free_cells(plan, radius))
+    starts = np.array([free_start(plan, cells, radius, rng) for _ in range(300)])
     index = wall_index(np.vstack([plan.walls, outlines(furniture)]))
     angles = np.linspace(-np.pi, np.pi, 120)
     for start in starts:
-        assert cast(index, start[:2], angles, 3.0, NOTHING).min() >= 0.2 - 1e-9
-        assert box_distance(start[0], start[1], furniture) >= 0.3
+        assert cast(index, start[:2], angles, 3.0, NOTHING).min() >= radius - 1e-9
+        assert box_distance(start[0], start[1], furniture) >= distance
     assert (starts[:, 0] > 6).mean() == pytest.approx(0.4, abs=0.1), "cells are equally likely"
     assert np.abs(starts[:, 2]).max() > 3.0 and np.abs(starts[:, 2]).min() < 0.1
-    again = free_start(plan, cells, np.random.default_rng(8))
-    np.testing.assert_array_equal(free_start(plan, cells, np.random.default_rng(8)), again)
+    again = free_start(plan, cells, radius, np.random.default_rng(8))
+    np.testing.assert_array_equal(free_start(plan, cells, radius, np.random.default_rng(8)), again)
 
 
 @pytest.mark.parametrize(("radius", "cell"), [(0.0, 0.25), (np.nan, 0.25), (0.2, 0.0), (0.2, np.inf)])

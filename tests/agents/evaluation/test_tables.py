@@ -24,15 +24,16 @@ from slam_gym.metrics.statistics import Interval
 HIGHER, LOWER = Column("score", "score", 3, "higher"), Column("error", "error", 3, "lower")
 
 
-def test_models_of_one_agent_are_pooled_and_resampled_each_on_its_own():
+def test_models_of_one_agent_are_averaged_in_each_world_since_they_share_the_worlds():
     frame = pd.DataFrame([
         {"name": "ppo", "setting": "x", "model": model, "episode": k, "map_error": value, "coverage": np.nan}
         for model, value in (("a.zip", 0.2), ("b.zip", 0.4)) for k in range(10)
     ])  # fmt: skip
     row = estimates(frame, [Column("map_error", "map error", 3), Column("coverage", "coverage", 3)])
-    # each model always gives the same value, so that resampling within models leaves nothing to vary
     assert (row["map_error"].estimate, row["map_error"].low, row["map_error"].high) == pytest.approx((0.3, 0.3, 0.3))
     assert math.isnan(row["coverage"].estimate)
+    alike, error = frame.assign(map_error=frame["episode"] * 0.1), [Column("map_error", "map error", 3)]
+    assert estimates(alike, error) == estimates(alike[:10], error)
 
 
 def test_of_events_the_mean_is_taken_since_an_interquartile_mean_hides_a_quarter_of_them():
