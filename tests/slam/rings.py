@@ -78,7 +78,9 @@ def map_it(slam: Slam, log: Drive, associator: str = "jcbb") -> tuple[JudgedSlam
     """The judged run, every step of which tells what went and came, and the error of the positions [m], aligned."""
     judged, estimates, alive = JudgedSlam(slam, associator), [], set()
     for (odometry, scan, sources), pose in zip(log.steps, log.poses):
+        missed = slam.atlas is not None and slam.view_from is not None and slam.missed_loop
         step = judged.step(odometry, scan, Truth(pose, sources))
+        assert step.prediction.near.all() or not missed
         estimates.append(slam.map.pose)
         alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
         alive -= set(step.removed.tolist())
