@@ -79,9 +79,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             if not (isinstance(value, int) and value >= least):
                 raise ValueError(f"{name}={value!r}: expected a whole number >= {least}")
 
-        if isinstance(
-            scenario := arguments.get("scenario"), str
-        ):  # a worker does not know those of the caller's script
+        scenario = arguments.get("scenario")
+        if isinstance(scenario, str):  # workers do not know those that the caller's script has registered
             arguments["scenario"] = SCENARIOS.get(scenario, scenario)
 
         def make() -> gym.Env[Any, Any]:

@@ -50,10 +50,8 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
     speed, turn = float(robot.max_speed), float(robot.max_turn)
     path, requested, seen = np.empty((0, 2)), goal, False
     nearest, stalled = math.inf, 0
-    unhurried = (
-        math.pi / turn + 2.0 * STUCK_DISTANCE / speed
-    ) / episode.scenario.dynamics.tick  # [ticks] if it is slow
-    patience = max(STUCK_TICKS, math.ceil(unhurried))
+    half_turn, way = math.pi / turn, 2.0 * STUCK_DISTANCE / speed  # [s] a slow robot takes longer than most
+    patience = max(STUCK_TICKS, math.ceil((half_turn + way) / episode.scenario.dynamics.tick))
     ticks = 0
     while not episode.over:
         pose = episode.slam.map.pose
