@@ -7,14 +7,12 @@ by one until the rest does; mirror images are among the cliques that fail.
 """
 
 import itertools
-import math
 
 import networkx as nx
 import numpy as np
 
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.problem import INDEX, LOCATION_LIMIT, Best, Problem, fewest, offer, searched
+from slam_gym.association.relocation.problem import INDEX, Best, Problem, fewest, keep_largest, searched
 from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count
@@ -47,7 +45,7 @@ def max_clique(
         cliques, complete = largest_cliques(edges, fewest(best, True))
         if not complete:
             problem.effort[INDEX.limit_hit] = 1
-        _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques], best)
+        keep_largest(best, problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques])
 
     return searched(scan, landmarks, locality, confidence, min_pairings, search)
 
@@ -82,25 +80,3 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
             break
     effort[INDEX.limit_hit] = len(nodes.features) > node_limit or count > _EDGES
     return nodes, no_edges if effort[INDEX.limit_hit] else np.concatenate(edges)
-
-
-def _best_of(problem: Problem, hypotheses: list[Path], best: Best) -> None:
-    """Enter the hypotheses in `best`; if none is jointly compatible, those that remain after dropping pairings."""
-    for path in hypotheses:
-        problem.effort[INDEX.leaves] += 1
-        offer(best, problem, path, len(path.features))
-    for path in [] if best.state[1] > 0 else hypotheses:
-        if problem.effort[INDEX.joint_tests] >= LOCATION_LIMIT:
-            problem.effort[INDEX.limit_hit] = 1
-            break
-        while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
-            path = _without_worst(problem, path)
-
-
-def _without_worst(problem: Problem, path: Path) -> Path:
-    """The path without the pairing whose removal leaves the least D²."""
-    scan, k, pose, covariance = problem.scan, len(path.features) - 1, np.empty(3), np.empty((3, 3))
-    rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
-    problem.effort[INDEX.joint_tests] += len(rests)
-    distances = [locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance) for rest in rests]
-    return rests[int(np.nan_to_num(distances, nan=math.inf).argmin())]

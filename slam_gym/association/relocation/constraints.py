@@ -11,6 +11,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import chi2_gate
@@ -20,6 +21,8 @@ from slam_gym.validation import check_scan
 
 _CLOSE = 16.0  # points are close when less than √16 = 4 σ apart
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the product of the variances
+_NEAREST = 24  # neighbours relative to which the error of a feature is taken, every other one of them
+_FLOOR = 1e-10  # [m²] added to every relative variance, so that maps without errors have gates too
 
 Attributes = tuple[Array, Array, IntArray]
 """Sizes [m] and their variances [m²], NaN where unknown, and kinds, of all measurements or features."""
@@ -175,6 +178,35 @@ def difference_covariances(mapped: Mapped, first: IntArray, second: IntArray) ->
     for k in range(len(first)):
         xx, xy, yy = difference_covariance(mapped, first[k], second[k])
         out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
+    return out
+
+
+def relative_to_neighbours(mapped: Mapped) -> Mapped:
+    """The map with covariances relative to neighbours in place of cross-covariances: the error of the whole map, which
+    moves all poses alike, is left out."""
+    relative = relative_covariances(mapped) + _FLOOR * np.eye(2)
+    return mapped._replace(covariances=relative, covariance=np.empty((0, 0)), block_starts=np.empty(0, np.int64))
+
+
+def relative_covariances(mapped: Mapped) -> Array:
+    """Covariance of each feature relative to its neighbours, (n, 2, 2) [m²].
+
+    The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which their common error
+    cancels. C_j is defined by D_jl ≈ C_j + C_l, averaged over nearby features l. Without cross-covariances it is P_jj.
+    """
+    n = len(mapped.positions)
+    if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
+        return mapped.covariances.copy()
+    near: IntArray = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
+    each = np.repeat(np.arange(n), near.shape[1])
+    half = 0.5 * difference_covariances(mapped, each, near.astype(np.int64).ravel()).reshape(n, -1, 2, 2).mean(axis=1)
+    relative = 2.0 * half - half[near].mean(axis=1)
+    # Where the neighbours are much less certain, C_j becomes too small or indefinite. Half of the mean over D_jl is
+    # used instead, as if j and its neighbours were equally certain.
+    valid = (relative[:, 0, 0] > 0.5 * half[:, 0, 0]) & (relative[:, 1, 1] > 0.5 * half[:, 1, 1])
+    valid &= np.linalg.det(relative) > 0.0
+    out: Array = np.where(valid[:, None, None], relative, half)
+    out[:, [0, 1], [0, 1]] = np.maximum(out[:, [0, 1], [0, 1]], 0.0)
     return out
 
 

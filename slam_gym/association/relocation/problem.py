@@ -12,7 +12,7 @@ from slam_gym._jit import compiled, inlined
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation import constraints
-from slam_gym.association.relocation.constraints import Mapped, Measured, Path
+from slam_gym.association.relocation.constraints import Mapped, Measured, Path, relative_to_neighbours
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.geometry import wrap_angles
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
@@ -176,22 +176,57 @@ def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distanc
         state[2] = r
 
 
-def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -> Relocation:
-    """The rival with the least D², and the number of others at another pose. All UNPAIRED and NaN if there is none.
+def keep_largest(best: Best, problem: Problem, hypotheses: list[Path]) -> None:
+    """Enter the `hypotheses` in `best`; if none is jointly compatible, those that remain after dropping pairings."""
+    for path in hypotheses:
+        problem.effort[INDEX.leaves] += 1
+        offer(best, problem, path, len(path.features))
+    for path in [] if best.state[1] > 0 else hypotheses:
+        if problem.effort[INDEX.joint_tests] >= LOCATION_LIMIT:
+            problem.effort[INDEX.limit_hit] = 1
+            break
+        while (k := len(path.features)) >= fewest(best, True) and not offer(best, problem, path, k):
+            path = _without_worst(problem, path)
 
-    Two poses are the same where their difference δ fits the sum of their covariances: δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
-    """
+
+def _without_worst(problem: Problem, path: Path) -> Path:
+    """The path without the pairing whose removal leaves the least D²."""
+    scan, k, pose, covariance = problem.scan, len(path.features) - 1, np.empty(3), np.empty((3, 3))
+    rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
+    problem.effort[INDEX.joint_tests] += len(rests)
+    distances = [locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance) for rest in rests]
+    return rests[int(np.nan_to_num(distances, nan=math.inf).argmin())]
+
+
+def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -> Relocation:
+    """The rival with the least D², and the number of others at another pose. All UNPAIRED and NaN if there is none."""
     _, rivals, b = best.state.tolist()
     features, distance, ties = np.full(best.features.shape[1], UNPAIRED), 0.0, 0
     pose, covariance = np.full(3, math.nan), np.full((3, 3), math.nan)
     if rivals > 0:
         features, distance = best.features[b].copy(), float(best.distances[b])
-        pose, covariance = best.poses[b].copy(), best.covariances[b].copy()
-        differences, sums = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
-        differences[:, 2] = wrap_angles(differences[:, 2])
-        squares = np.einsum("ra,ra->r", differences, np.linalg.solve(sums, differences[:, :, None])[:, :, 0])
-        ties = int((squares >= problem.joint_gates[-1]).sum())
+        pose, covariance, ties = best.poses[b].copy(), best.covariances[b].copy(), _elsewhere(best, problem)
     counts: dict[str, Any] = dict(zip(INDEX._fields, problem.effort.tolist(), strict=True))
     spent = Effort(**counts | {"limit_hit": counts["limit_hit"] > 0, "seconds": seconds})
     dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
     return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)
+
+
+def _elsewhere(best: Best, problem: Problem) -> int:
+    """The number of rivals whose pose is another than that of the best one.
+
+    Two poses are the same where their difference δ fits the sum of their covariances: δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3. The
+    error of the whole map moves both alike: poses and covariances are those relative to neighbouring features.
+    """
+    _, rivals, b = best.state.tolist()
+    poses, covariances = best.poses[:rivals].copy(), best.covariances[:rivals].copy()
+    if rivals > 1 and len(problem.mapped.covariance) + len(problem.mapped.blocks) > 0:
+        mapped = relative_to_neighbours(problem.mapped)
+        for features, pose, covariance in zip(best.features, poses, covariances):
+            paired = np.flatnonzero(features != UNPAIRED)
+            path = Path(paired, features[paired])
+            locate_pairings(problem.scan.points, problem.scan.noise, mapped, path, len(paired), pose, covariance)
+    differences, sums = poses - poses[b], covariances + covariances[b]
+    differences[:, 2] = wrap_angles(differences[:, 2])
+    squares = np.einsum("ra,ra->r", differences, np.linalg.solve(sums, differences[:, :, None])[:, :, 0])
+    return int((squares >= problem.joint_gates[-1]).sum())

@@ -7,7 +7,6 @@ looked up by their distances. The matching triangles imply poses, each of which 
 the scan), instead of the number of pairs of pairings.
 """
 
-import dataclasses
 import functools
 import math
 import time
@@ -20,20 +19,18 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import Crowding, crowding_of
 from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.constraints import Mapped, difference_covariances, map_arrays
-from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.problem import answer_of, nothing_found, problem_of
+from slam_gym.association.relocation.constraints import Mapped, Path, map_arrays, relative_to_neighbours, unchecked_map
+from slam_gym.association.relocation.problem import answer_of, keep_largest, nothing_found, problem_of
 from slam_gym.association.relocation.triangle_search import FAR, FeatureCells, Raster, TriangleHash, cell_number, search
-from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count
 
 _WITHIN = 23  # features within reach of each feature; more in small maps
 _SAMPLE = 200  # features sampled to determine the reach
 _LEAST_REACH = 1e-3  # [m]
 _TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # maximum in any map, or for each feature
-_NEAREST = 24  # neighbours relative to which the error of a feature is taken, every other one of them
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
-_FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
+_LEAST_VARIANCE = 1e-10  # [m²] of the least certain feature, in a map without features
 _RASTER_CELLS = 512  # maximum for each feature
 
 
@@ -46,9 +43,7 @@ class FeatureIndex:
 
     def __init__(self, landmarks: Landmarks) -> None:
         self.landmarks = landmarks
-        mapped, no_blocks = map_arrays(landmarks), np.empty(0, np.int64)
-        relative = relative_covariances(mapped) + _FLOOR * np.eye(2)
-        self._mapped = mapped._replace(covariances=relative, covariance=np.empty((0, 0)), block_starts=no_blocks)
+        self._mapped = relative_to_neighbours(map_arrays(landmarks))
         self._hash = _hash_of(self._mapped)
 
     def __len__(self) -> int:
@@ -93,12 +88,12 @@ class FeatureIndex:
         problem = problem_of(scan, self._mapped, locality, confidence, tabulate=False)
         best = nothing_found(len(scan))
         search(self._hash, problem, min_pairings, node_limit, best)
-        answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
-        if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
-            located = locate(scan, self.landmarks, answer.features)
-            pose, covariance, distance = located.pose, located.covariance, located.joint_distance
-            answer = dataclasses.replace(answer, pose=pose, covariance=covariance, joint_distance=distance)
-        return answer
+        if len(self.landmarks.covariance) or len(self.landmarks.blocks):  # the joint test with all covariances
+            paired = [(features != UNPAIRED).nonzero()[0] for features in best.features[: best.state[1]]]
+            paths = [Path(of_scan, features[of_scan]) for of_scan, features in zip(paired, best.features)]
+            problem, best = problem._replace(mapped=unchecked_map(self.landmarks)), nothing_found(len(scan))
+            keep_largest(best, problem, paths)
+        return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
@@ -123,28 +118,6 @@ def indexed(
     )
 
 
-def relative_covariances(mapped: Mapped) -> Array:
-    """Covariance of each feature relative to its neighbours, (n, 2, 2) [m²].
-
-    The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which their common error
-    cancels. C_j is defined by D_jl ≈ C_j + C_l, averaged over nearby features l. Without cross-covariances it is P_jj.
-    """
-    n = len(mapped.positions)
-    if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
-        return mapped.covariances.copy()
-    near: IntArray = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
-    each = np.repeat(np.arange(n), near.shape[1])
-    half = 0.5 * difference_covariances(mapped, each, near.astype(np.int64).ravel()).reshape(n, -1, 2, 2).mean(axis=1)
-    relative = 2.0 * half - half[near].mean(axis=1)
-    # Where the neighbours are much less certain, C_j becomes too small or indefinite. Half of the mean over D_jl is
-    # used instead, as if j and its neighbours were equally certain.
-    valid = (relative[:, 0, 0] > 0.5 * half[:, 0, 0]) & (relative[:, 1, 1] > 0.5 * half[:, 1, 1])
-    valid &= np.linalg.det(relative) > 0.0
-    out: Array = np.where(valid[:, None, None], relative, half)
-    out[:, [0, 1], [0, 1]] = np.maximum(out[:, [0, 1], [0, 1]], 0.0)
-    return out
-
-
 def _hash_of(mapped: Mapped) -> TriangleHash:
     """The hash of a map whose covariances are relative to the neighbouring features."""
     positions, n = mapped.positions, len(mapped.positions)
@@ -164,7 +137,7 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1))
     grid, raster = _grid_of(positions, reach / 7.0), _raster_of(positions, widest, 3.5 * noise)
-    largest = float(widest.max(initial=_FLOOR))
+    largest = float(widest.max(initial=_LEAST_VARIANCE))
     return TriangleHash(starts, corners[order], sides[order], grid, raster, reach, quantum, largest)
 
 

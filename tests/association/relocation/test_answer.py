@@ -32,12 +32,12 @@ def test_a_mirrored_map_is_not_taken_for_the_map(name):
     assert not RELOCATORS[name](scan, mirrored, None).accepted
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_two_equal_rooms_are_ambiguous(name):
+@pytest.mark.parametrize("name", [*NAMES, "indexed"])
+@pytest.mark.parametrize(("apart", "common"), [(80.0, 0.0), (80.0, 1.0), (1.6, 0.5)])
+def test_two_equal_rooms_are_ambiguous_however_uncertain_the_whole_map_is(name, apart, common):
     _, scan, landmarks = oracles.inside(2, m=8, true=8, n=16, keep="none")
-    twice = oracles.landmarks_of(
-        np.vstack([landmarks.positions, landmarks.positions + np.array([80.0, 0.0])]), 0.002 * np.eye(64), keep="none"
-    )
+    rooms = np.vstack([landmarks.positions, landmarks.positions + np.array([apart, 0.0])])
+    twice = oracles.landmarks_of(rooms, 0.002 * np.eye(64) + np.tile(common**2 * np.eye(2), (32, 32)))
     found = RELOCATORS[name](scan, twice, None)
     assert found.pairings >= 7 and found.ambiguous and found.ties >= 1 and not found.accepted
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam_gym.association.relocation.constraints import map_arrays
-from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
+from slam_gym.association.relocation.constraints import map_arrays, relative_covariances
+from slam_gym.association.relocation.triangles import FeatureIndex, indexed
 from slam_gym.geometry import observe, transform
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
