@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from slam_gym.association.policy import from_policy, greedy, relocator_from_policy
-from slam_gym.association.prediction import Associator, Prediction
+from slam_gym.association.prediction import Prediction
 from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.random_sampling import random_sampling
@@ -90,68 +90,46 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
             raise ValueError(f"associator {associator}: there is no such file")
         return walk_by(associator)
     resolved: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
-    is_checked = getattr(resolved, "is_checked", False) or any(resolved is known for known in ASSOCIATORS.values())
-    return resolved if is_checked else _ReadOnlyScan(resolved)
-
-
-@dataclass(frozen=True, slots=True)
-class _ReadOnlyScan:
-    """A user's associator, called with a scan whose arrays are read-only. Its errors, and those of its hypothesis, name
-    it."""
-
-    associate: Associator
-    is_checked: ClassVar[bool] = True
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        name = getattr(self.associate, "__name__", repr(self.associate))
-        try:
-            hypothesis = self.associate(scan.read_only(), prediction)
-        except Exception as error:
-            error.add_note(f"raised by associator {name}")
-            raise
-        try:
-            return check_hypothesis(hypothesis, len(scan), prediction.expected.n)
-        except ValueError as error:
-            raise ValueError(f"associator {name}: {error}") from None
+    return resolved
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
     """The relocator given by name, as `"module:name"`, or as a function. Raises ValueError as `resolve_associator`."""
     resolved: Relocator = _resolve("relocator", relocator, RELOCATORS)
-    is_checked = getattr(resolved, "is_checked", False) or any(resolved is known for known in RELOCATORS.values())
-    return resolved if is_checked else _ReadOnlySearch(resolved)
+    return resolved
 
 
 @dataclass(frozen=True, slots=True)
-class _ReadOnlySearch:
-    """A user's relocator, called with a scan and landmarks whose arrays are read-only. Its errors, and those of its
-    relocation, name it."""
+class _ReadOnly:
+    """A user's associator or relocator, called with a scan, and landmarks, whose arrays are read-only. Its errors, and
+    those of its answer, name it."""
 
-    search: Relocator
+    role: str
+    function: Callable[..., Any]
     is_checked: ClassVar[bool] = True
 
-    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-        name = getattr(self.search, "__name__", repr(self.search))
+    def __call__(self, scan: Scan, known: Prediction | Landmarks, *locality: Locality | None) -> Any:
+        name = f"{self.role} {getattr(self.function, '__name__', repr(self.function))}"
         try:
-            found = self.search(scan.read_only(), landmarks.read_only(), locality)
+            read_only = known.read_only() if isinstance(known, Landmarks) else known
+            answer = self.function(scan.read_only(), read_only, *locality)
         except Exception as error:
-            error.add_note(f"raised by relocator {name}")
+            error.add_note(f"raised by {name}")
             raise
-        if not isinstance(found, Relocation):
-            raise ValueError(f"relocator {name}: returned {type(found).__name__}, not a Relocation")
         try:
-            check_hypothesis(Hypothesis(found.features, 0.0, 0), len(scan), len(landmarks))
+            if isinstance(known, Prediction):
+                return check_hypothesis(answer, len(scan), known.expected.n)
+            if not isinstance(answer, Relocation):
+                raise ValueError(f"returned {type(answer).__name__}, not a Relocation")
+            check_hypothesis(Hypothesis(answer.features, 0.0, 0), len(scan), len(known))
         except ValueError as error:
-            raise ValueError(f"relocator {name}: {error}") from None
-        return found
+            raise ValueError(f"{name}: {error}") from None
+        return answer
 
 
 def _resolve(role: str, value: Any, table: Mapping[str, Any]) -> Any:
-    if callable(value):
-        return value
-    if value in table:
-        return table[value]
-    resolved = imported(role, str(value), table)
+    resolved = value if callable(value) else table.get(value) or imported(role, str(value), table)
     if not callable(resolved):
         raise ValueError(f"{role} {value!r} is not callable; known: {', '.join(table)}")
-    return resolved
+    is_checked = getattr(resolved, "is_checked", False) or any(resolved is known for known in table.values())
+    return resolved if is_checked else _ReadOnly(role, resolved)
