@@ -48,7 +48,6 @@ class Tree(NamedTuple):
     scan: Scan
     prediction: Prediction
     candidates: Candidates  # level i decides measurement candidates.measurements[i]
-    rows: IntArray  # (u,) row of the prediction of each slot
     pairings: Pairings
     gates: Array  # (g + l + 1,) χ² gate of a hypothesis, by its number of pairings
 
@@ -110,7 +109,7 @@ def interpretation_tree(scan: Scan, prediction: Prediction, candidates: Candidat
     slots, measured, innovations = candidates.slots, candidates.measured, candidates.innovations
     pairings = Pairings(slots, measured, innovations, scan.arrays[1], covariance, all_local, 0)
     gates = joint_gates(len(candidates.measurements), prediction.confidence)
-    return Tree(scan, prediction, candidates, candidates.rows, pairings, gates)
+    return Tree(scan, prediction, candidates, pairings, gates)
 
 
 def root(tree: Tree) -> Node:
@@ -124,7 +123,7 @@ def branches(tree: Tree, node: Node) -> Branches:
         raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
     first, last = tree.level(node.level)
     joint = node.distance + added_by(tree.pairings, node.path, node.added, first, last)
-    rows = tree.rows[tree.pairings.slots[first:last]]
+    rows = tree.candidates.rows[tree.pairings.slots[first:last]]
     legal = joint < tree.gates[len(node.path) + 1]
     return Branches(rows, tree.candidates.distances[first:last], joint, legal)
 
@@ -148,7 +147,7 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 def decided(tree: Tree, node: Node) -> IntArray:
     """Row of the prediction paired with each measurement, (m,); UNPAIRED for `*` and for undecided measurements."""
     rows, pairings = np.full(len(tree.scan), UNPAIRED), tree.pairings
-    rows[pairings.measured[node.path]] = tree.rows[pairings.slots[node.path]]
+    rows[pairings.measured[node.path]] = tree.candidates.rows[pairings.slots[node.path]]
     return rows
 
 

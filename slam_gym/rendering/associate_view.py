@@ -77,7 +77,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> TreeLe
     candidates, tree = walk.candidates, walk.tree
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
-    features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
+    features = tree.prediction.features[candidates.rows[candidates.slots[first:last]]].tolist()
     branch_of = dict(zip(features, range(last - first))) | {UNPAIRED: STAR}
     chosen = int(walk.chosen[k]) if k < walk.level else None
     return TreeLevel(

@@ -131,7 +131,7 @@ class Walk:
     @property
     def rows(self) -> IntArray:
         """(k,) rows of the prediction on offer, k ≤ K, by ascending D²_ij."""
-        return self.tree.rows[self.candidates.slots[self.offered]]
+        return self.candidates.rows[self.candidates.slots[self.offered]]
 
     @property
     def individual_distances(self) -> Array:
@@ -161,9 +161,9 @@ class Walk:
         arrays; 0 at a leaf."""
         if self.done:
             return nothing(self.K)
-        scan, prediction, candidates, rows, pairings, gates = self.tree
+        scan, prediction, candidates, pairings, gates = self.tree
         (first, later), p, distance = self.tree.level(self.level), self.pairings, self.node.distance
-        mapped = prediction.arrays, rows, prediction.confirmations, self._local
+        mapped = prediction.arrays, candidates.rows, prediction.confirmations, self._local
         on_offer, individual = (self.offered, later, self.K), candidates.distances
         shown, left = _encode(pairings, self.node, individual, gates, scan.arrays, mapped, on_offer)
         path = (
@@ -182,7 +182,7 @@ class Walk:
     @functools.cached_property
     def _local(self) -> BoolArray:
         """(u, u) which of the features that the tree may pair are local to each other."""
-        return self.tree.prediction.local(self.tree.rows)
+        return self.tree.prediction.local(self.candidates.rows)
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
