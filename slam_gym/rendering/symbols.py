@@ -6,6 +6,7 @@ import numpy as np
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.association import Decision
+from slam_gym.navigation.pursuit import on_path
 from slam_gym.rendering.canvas import Canvas, Colour
 from slam_gym.simulation.judged import UNDECIDED
 from slam_gym.types import Array, BoolArray, IntArray
@@ -155,13 +156,12 @@ def people(canvas: Canvas, discs: Array) -> None:
 
 def _ahead(robot: Array, path: Array) -> Array:
     """The part of a path (p, 2) beyond its point closest to the robot (2,)."""
-    start, along = path[:-1], np.diff(path, axis=0)
-    fraction = ((robot - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
-    nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * along
-    if not len(nearest):
+    if len(path) < 2:
         return path
-    k = int(np.argmin(((nearest - robot) ** 2).sum(axis=1)))
-    return np.concatenate([nearest[k : k + 1], path[k + 1 :]])
+    segment, covered, _ = on_path(path, robot)
+    start, along = path[segment], path[segment + 1] - path[segment]
+    nearest = start + covered / max(float(np.hypot(*along)), 1e-12) * along
+    return np.vstack([nearest, path[segment + 1 :]])
 
 
 def _mixed(colour: Colour, fraction: float) -> Colour:
