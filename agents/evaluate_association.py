@@ -30,7 +30,11 @@ def main(
     recorded: Recorded,
     associators: Associators = None,
     relocation: Annotated[
-        Names, Option(metavar="NAME …", help="See slam-gym list relocators; or none. By default both none and gcbb.")
+        Names,
+        Option(
+            metavar="NAME …",
+            help="See slam-gym list relocators; or none. By default none and gcbb; --recording: gcbb; --suite: all.",
+        ),
     ] = None,
     split: Annotated[
         Literal["train", "test"] | None, Option(help="Split of the worlds, by default test; tune on train.")
