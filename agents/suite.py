@@ -162,7 +162,7 @@ def relocation_problems(level: Level, world: int, count: int, split: str = "test
         known.predict(odometry)
         known.update(scan, truth.right)
         yield RelocationProblem(scan, landmarks, locality, known.pose)
-    other = TwoLaps(level, (world + OTHER_BUILDING) % SPLITS["test"][1], split)
+    other = TwoLaps(level, (world + OTHER_BUILDING) % SPLITS[split][1], split)
     for pose in other.rng.permutation(other.poses):
         scan, seen = other.look(pose)
         if min(inside, left) and np.count_nonzero(seen.sources >= 0) >= MIN_MAPPED:
