@@ -34,6 +34,8 @@ def main(
     from agents.evaluation.records import write_whole
     from agents.ranking.board import BASELINES, folders_in, markdown, read_entries
 
+    if not entry and (role or quick or execution != Execution()):
+        raise ValueError("--entry is missing: the other options are about its evaluation")
     evaluated = {_evaluate(entry, role or _role_of(entry), quick, board, execution)} if entry else set()
     shipped, _ = read_entries(folders_in(BASELINES))
     own, refused = read_entries(folders_in(board) | evaluated)
@@ -50,15 +52,17 @@ def main(
 
 def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> Path:
     """Evaluate the entry by the protocol, or by the rest of it; returns the folder of its results."""
-    from agents.evaluation.pipeline import carry_out, unfinished
+    from agents.evaluation.pipeline import METADATA, carry_out, unfinished
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
-    if entry != CEILING:  # no process runs it, since it uses the truth
+    if entry != CEILING or role != "associator":  # no process runs it, since it uses the truth
         process(role, entry)  # raises for an invalid entry, before anything is written
     name = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execution.output or board / name
-    resume = execution.resume or unfinished(out)  # what is finished may be of other code of the same name
+    resume = execution.resume or unfinished(out)
+    if not resume and (out / METADATA).exists():
+        raise ValueError(f"{out} holds the finished results of this entry: delete the folder to evaluate it again")
     frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, execution.jobs, resume).frame
     failed = frame["failed"].dropna() if "failed" in frame else ()
     if len(failed):

@@ -114,7 +114,9 @@ class Execution:
     """The execution of an evaluation, and the folder of its files."""
 
     jobs: Annotated[int | None, Option(min=1, metavar="J", help="Processes; by default one per core.")] = None
-    output: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
+    output: Annotated[
+        Path | None, Option(metavar="DIR", help="By default a new folder in results/; leaderboard: in --board.")
+    ] = None
     resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
 
     def folder(self, name: str) -> Path:

@@ -32,7 +32,7 @@ HELP = """\
 You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
 has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
 where it has been, to make the ellipses shrink. At the end your map error is compared with that of information gain."""
-KEYS = "arrows or WASD drive   C associator   L relocation   R again   N next world   Esc quit"
+KEYS = "C associator   L relocation   R again   N next world   Esc quit"
 RIVAL = "information_gain"
 
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
@@ -118,11 +118,17 @@ class Game:
             env.close()
         quality, rival = info["map_quality"], self.rivals[world]
         own = float(quality["map_error"])
-        who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
+        player = self.agent.name
+        who = f"{player} beat it" if own < rival else f"it beat {player}" if own > rival else "a draw"
         return (
             f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
             f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
         )
+
+    @property
+    def keys(self) -> str:
+        """The keys that have an effect."""
+        return f"arrows or WASD drive   {KEYS}" if self.agent is self.controls else KEYS
 
     def state(self) -> str:
         """What the player has chosen."""
@@ -142,7 +148,7 @@ def play(game: Game, env: gym.Env[Any, Any], world: int, steps: int | None = Non
         print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
     verdict = ""
     for count in itertools.count():
-        pygame.display.set_caption(verdict or f"{game.state()}   ({KEYS})")
+        pygame.display.set_caption(verdict or f"{game.state()}   ({game.keys})")
         if count == steps:
             return "quit"
         wish = game.controls.poll()
@@ -181,7 +187,7 @@ def main(
     names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
     env = game.make()
-    print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
+    print(HELP if watched is None else f"watching {watched.name}: {game.keys}")
     wish, world = "again", seed
     try:
         while wish != "quit":

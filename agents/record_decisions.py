@@ -77,8 +77,9 @@ def main(
     name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
     try:
         parse_dataset_id(name)
-    except (TypeError, ValueError):  # TypeError: it has no version
-        raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0") from None
+    except (TypeError, ValueError) as error:  # TypeError: it has no version
+        reason = error if isinstance(error, ValueError) else "no version"
+        raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0 ({reason})") from None
     if name in minari.list_local_datasets():
         raise ValueError(f"--dataset {name}: there is one of this name")
     envs = [each.make() for each in worlds]

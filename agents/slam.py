@@ -66,7 +66,7 @@ def main(
         if slam.missed_loop:
             print("a place is probably mapped twice: features that were seen from there before are missing")
         if slam.tracker.slips:
-            print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}")
+            print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}, or the sigmas are too small")
         if doubted:
             print(f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
         print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))

@@ -196,7 +196,7 @@ def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Seq
             keys = [Key(each, level.id, world) for each in searches]
             tasks.append(Task(keys, partial(evaluate, level.id, world, searches, count, split)))
     size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
-    return Evaluation("suite", tasks, size, {"models": hashes_of(*associators)})
+    return Evaluation("suite", tasks, size, {"models": hashes_of(*associators, *relocators)})
 
 
 def ask(name: str, function: Callable[..., Any], problem: AssociationProblem | RelocationProblem) -> Any:

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -41,9 +42,17 @@ def contenders(associators: Sequence[str], relocations: Sequence[str | None]) ->
 
 
 def hashes_of(*names: str | None) -> dict[str, dict[str, Any]]:
-    """The SHA-256 of each file among the names of associators, drivers' models and worlds, for results.json."""
-    files = {name: Path(name) for name in names if name and Path(name).is_file()}
+    """The SHA-256 of the file behind each name of an associator, search, driver, model or world, for results.json: that
+    of the module of `module:name`, and none of what ships with the package."""
+    files = {name: file for name in names if name and (file := _file_of(name))}
     return {name: {"sha256": hashlib.sha256(file.read_bytes()).hexdigest()} for name, file in files.items()}
+
+
+def _file_of(name: str) -> Path | None:
+    """The file of that name, or with that module, which is not imported."""
+    module, colon, _ = name.partition(":")
+    places = [Path(folder, *module.split(".")).with_suffix(".py") for folder in sys.path] if colon else [Path(name)]
+    return next(filter(Path.is_file, places), None)
 
 
 class Metered:

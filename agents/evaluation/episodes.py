@@ -215,7 +215,8 @@ def driver_evaluation(
         Task([Key(driver.agent, loop.world, k, driver.model)], partial(drive, driver, loop, None, k))
         for loop, k, driver in product(loops, episodes, drivers)
     ]
-    models = hashes_of(*(driver.model for driver in drivers), loops[0].floor_plan, loops[0].associator)
+    of_drivers = [name for driver in drivers for name in (driver.agent, driver.model)]
+    models = hashes_of(*of_drivers, loops[0].floor_plan, loops[0].associator, loops[0].relocation)
     for name in {driver.model for driver in drivers if driver.model}:
         models[name] |= _training(Path(name))
     several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}
@@ -275,4 +276,5 @@ def associator_evaluation(
         tasks.append(Task([Key(name, loop.world, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     conditions = {"driver": driver, "relocation": list(relocations)} | shared
-    return Evaluation("associators", tasks, conditions, {"models": hashes_of(*associators, loops[0].floor_plan)})
+    models = hashes_of(*associators, *relocations, driver, loops[0].floor_plan)
+    return Evaluation("associators", tasks, conditions, {"models": models})

@@ -129,8 +129,9 @@ def map_log(
         began = time.perf_counter()
         step = judged.step(odometry, scan, Truth(slam.map.pose, sources))
         seconds = time.perf_counter() - began
-        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, slam.doubted, seconds))
-    poses, covariances, ids, created, doubted, times = zip(*steps)
+        doubted = slam.doubted and len(scan) > 0
+        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, doubted, seconds))
+    poses, covariances, ids, created, doubts, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
@@ -144,7 +145,7 @@ def map_log(
         "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
-    run = slam, sum(doubted), np.array(poses), np.array(covariances)
+    run = slam, sum(doubts), np.array(poses), np.array(covariances)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 
@@ -343,6 +344,6 @@ def recording_evaluation(
         raise ValueError(f"{CEILING} needs identities, and no measurement has one")
     about = {
         "settings": {log.name: asdict(slam_for(log)) for log in logs},
-        "models": hashes_of(*associators, conditions["recording"]),
+        "models": hashes_of(*associators, *relocations, conditions["recording"]),
     }
     return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, about)

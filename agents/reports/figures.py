@@ -20,7 +20,7 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import SPURIOUS, Array
 
-PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e", "#4fb3bf")
+PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e", "#4fb3bf", "#7a9a2e")
 INK = "#1c2733"
 WIDTH, DPI = 10.4, 160  # [inches] of a figure
 MARKERS = "osD^vP*X"

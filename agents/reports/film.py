@@ -37,9 +37,9 @@ def films_of(
     drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, associators: Sequence[str] = ()
 ) -> list[Callable[[], Path]]:
     """Calls that film an episode: one per agent, with its first model; with `associators`, which one agent drives with,
-    a single one for all of them side by side. Films that exist already are left out."""
+    a single one for all of them side by side. Films of agents that exist already are left out."""
     films = {film_path(out, BESIDE if associators else driver.agent): driver for driver in reversed(drivers)}
-    missing = [(path, driver) for path, driver in films.items() if not path.with_suffix(".png").exists()]
+    missing = [(path, driver) for path, driver in films.items() if associators or not path.with_suffix(".png").exists()]
     return [partial(film, arguments, driver, episode, path, associators) for path, driver in missing]
 
 

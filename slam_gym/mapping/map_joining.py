@@ -38,9 +38,9 @@ def join(a: StochasticMap, b: StochasticMap, base: Array | None = None, *, robot
     """Join two maps in the base of `a`: the features of `a`, then those of `b`, without matching them.
 
     The base of `b` is the robot pose of `a`, or the pose `base` (3,), of uninformative covariance, which `equate` then
-    determines; with `robot_of_a`, which leaves no heading to correct, it must be right to a degree. The robot is that
-    of `b`, or, with `base`, that of `a` if `robot_of_a`; the settings are those of `a`.
-    Neither map is changed. Raises ValueError where both maps use an id.
+    determines. With `robot_of_a`, which leaves no heading to correct, or without right-invariant errors, it must be
+    right to a degree. The robot is that of `b`, or, with `base`, that of `a` if `robot_of_a`; the settings are those of
+    `a`. Neither map is changed. Raises ValueError where both maps use an id.
     """
     first, second = a.state, b.state
     common = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])

@@ -140,7 +140,7 @@ def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
     Both are poses (t, 3) or positions (t, 2), at the same instants; use `aligned` for estimates in another frame than
     the truth (Sturm et al., IROS 2012). NaN for t = 0. Raises as `landmark_rmse`.
     """
-    return landmark_rmse(estimated[:, :2], true[:, :2], aligned=aligned)
+    return landmark_rmse(np.asarray(estimated)[:, :2], np.asarray(true)[:, :2], aligned=aligned)
 
 
 def align_se2(source: Array, target: Array) -> Array:

@@ -63,7 +63,7 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
         distances = np.hypot(*scan.points.T) if seen.any() else np.ones(1)
         widest = np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0])).max(initial=0.1)
         return Recording(
-            name=file.stem,
+            name=file.name,
             source=file.name,
             terms="as its owner says",
             times=table["time"][first],

@@ -131,7 +131,7 @@ def _recording(
     reference = [step for step, pose in enumerate(poses) if pose in known]
     seen = sorted({edge.key[1] for edge in measured} & set(places))
     return Recording(
-        name=path.stem,
+        name=path.name,
         source=path.name,
         terms="not stated in the file",
         times=np.arange(len(poses), dtype=np.float64),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#8faad0", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
 Path = tuple[int, ...]  # the rows of a prediction that lead from the root of a tree to a node
 _MOST_BRANCHES = 400  # in a tree that is still legible
+_LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
 
 
 def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: float = 2.0) -> Axes:
@@ -175,8 +176,16 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
         known = (sources >= 0) & ~slam.map.provisional
         ends = np.stack([plan.features.positions[sources[known]], mapped[known]])
         ax.plot(*ends.transpose(2, 0, 1), color=YELLOW, lw=0.9)
-    plot_path(np.array(episode.poses), ax, color=GREY)
-    return plot_path(transform(episode.base, np.array(episode.estimates)[:, :2]), ax, lw=1.3)
+    plot_path(trail(episode.poses), ax, color=GREY)
+    return plot_path(transform(episode.base, trail(episode.estimates)), ax, lw=1.3)
+
+
+def trail(poses: list[Array], most: int | None = None) -> Array:
+    """Positions (t, 2) of poses, or of about `most` with the last; NaN in between where the robot was carried."""
+    points = np.array([pose[:2] for pose in poses])
+    leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
+    kept = np.arange(len(points))[:: -max(1, len(points) // (most or len(points)))][::-1]
+    return np.insert(points[kept], np.unique(np.searchsorted(kept, leaps)), np.nan, axis=0)
 
 
 def _axes(ax: Axes | None, aspect: Literal["equal", "auto"] = "equal") -> Axes:

@@ -12,12 +12,12 @@ from slam_gym.geometry import compose, observe, relative, rotate_covariances, tr
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import TEXT, Canvas, pygame, text
+from slam_gym.rendering.plot import trail
 from slam_gym.simulation.association_runs import LoggedRun
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 _TRAIL = 400  # points of a trail that are drawn
-_LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
 
 
 class DrawnGrid(NamedTuple):
@@ -100,10 +100,10 @@ def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibili
         people=episode.world.people,
         robot_radius=episode.scenario.robot.radius,
         true_pose=episode.world.pose,
-        true_trail=_trail(episode.poses),
+        true_trail=trail(episode.poses, _TRAIL),
         pose=compose(base, slam_map.pose),
         position_covariance=rotate_covariances(base[2], slam_map.pose_covariance[None, :2, :2])[0],
-        trail=transform(base, _trail(episode.estimates)),
+        trail=transform(base, trail(episode.estimates, _TRAIL)),
         landmarks=transform(base, slam_map.positions),
         landmark_covariances=rotate_covariances(base[2], slam_map.covariances),
         provisional=slam_map.provisional,
@@ -138,14 +138,6 @@ def paired_positions(step: SlamStep, ids: IntArray, landmarks: Array) -> Array:
     paired = (step.ids != NO_ID) & ~step.created & np.isin(step.ids, ids)
     positions[paired] = landmarks[np.searchsorted(ids, step.ids[paired])]
     return positions
-
-
-def _trail(poses: list[Array]) -> Array:
-    """Positions (≤ _TRAIL, 2) of the poses so far, including the last; NaN where the robot was carried."""
-    points = np.array([pose[:2] for pose in poses])
-    leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
-    kept = np.arange(len(points))[:: -max(1, len(points) // _TRAIL)][::-1]
-    return np.insert(points[kept], np.unique(np.searchsorted(kept, leaps)), np.nan, axis=0)
 
 
 # -- legend ----------------------------------------------------------------------------------------------------------

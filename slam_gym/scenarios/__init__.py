@@ -182,7 +182,7 @@ def floor_budget(plan: FloorPlan, like: Scenario) -> int:
 
 
 LOG_SETTINGS = SlamSpec(
-    MapSpec(unconfirmed_age=20),
+    MapSpec(confirmations=3, unconfirmed_age=20),
     new_confidence=1.0 - 1e-12,
     max_accidental_matches=1.0,
     max_chance_probability=0.05,

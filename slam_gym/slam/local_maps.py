@@ -268,7 +268,8 @@ def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> In
     size and kind, and are jointly compatible in every prefix at the confidence of the map. The hypothesis "newer
     feature i is older feature j" has the innovation ν_ij = F_i − F_j, and ν_ij and ν_kl have the covariance
     P_ik − P_il − P_jk + P_jl, which contains all correlations of the two maps. So this interpretation tree has a slot
-    for each pairing, where that of a scan has one for each feature.
+    for each pairing, where that of a scan has one for each feature. The test is linear in the heading with which the
+    newer map begins: from errors of about 0.1 rad on, right pairs fail it.
     """
     D = m.distances_between(newer, older, chi2_gate(2, _INDIVIDUAL))
     D[~attributes_agree(m, older, newer)] = np.inf

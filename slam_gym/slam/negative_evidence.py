@@ -27,7 +27,7 @@ _LOOKS = 20  # the last so many are judged together
 _REPLACED = 2.5  # mean number per look from which a loop is held to be missed; few sound maps of floors reach it …
 _REPLACED_WITHOUT_VIEW = 0.3  # … and where the view is unknown, since few features count then: sound logs reach 0.2
 _IN_VIEW = 0.5  # visibility from which a feature should be in view
-_OLD = 100  # [steps] since a feature was first seen
+_OLD = 100  # [steps] since a feature was last seen
 _SQUARE = 0.75  # [m] side of the squares that tell from where a feature was measured
 _WELL_INSIDE = 0.85  # fraction of the sector: near its edge, a feature may be out of view
 
@@ -40,10 +40,9 @@ class NegativeEvidence:
     know where it is: from a wrong pose, all features seem to be absent.
 
     **A loop is missed** where old features are absent, and others are paired in their place. Old are established
-    features, first seen more than 100 steps ago, that are neither paired in a recent scan nor local to one that was;
-    without localities there are none. Where the prediction does not tell what is in view, a feature should be if it was
-    measured from about here before (within a metre or so), so that no wall hides it, and lies well inside the sector in
-    which anything was measured so far.
+    features that were last seen more than 100 steps ago. Where the prediction does not tell what is in view, a feature
+    should be if it was measured from about here before (within a metre or so), so that no wall hides it, and lies well
+    inside the sector in which anything was measured so far.
 
     Arguments:
         tracker: knows that sector; None: without a view, no loop is noticed to be missed.
@@ -92,7 +91,7 @@ class NegativeEvidence:
         paired = hypothesis.features[hypothesis.features != UNPAIRED]
         if not prediction.has_view:
             self._measured_from.update(_squares(m, paired))
-        old = ~prediction.near & ~prediction.provisional & (prediction.ages > _OLD)
+        old = ~prediction.provisional & (m.step - m.last_seen[prediction.features] > _OLD)
         expected = prediction.features[old & self._in_view(prediction, m)] if old.any() else _NO_FEATURES
         absent = len(expected) - int(np.isin(expected, paired).sum())
         self._replaced.append(min(absent, len(paired)))

@@ -25,7 +25,9 @@ _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
 _SLIP_CONFIDENCE = 0.9999  # of the joint test of pairings without slip
+_SLIPPED = 0.8  # fraction of the measurements that must fit where the wheels have slipped and the view is unknown
 _HARDLY_ACCIDENTAL = math.log(0.02)  # log of an expected number of accidental hypotheses with as many pairings …
+_NOT_ACCIDENTAL = math.log(1e-4)  # … below which a scan ends a doubt …
 _ACCIDENTAL_ALL = math.log(0.5)  # … and from which all pairings of a scan may be accidental
 _ACCIDENTAL_SCANS = 8  # scans in a row whose pairings may be accidental: 5 occur on real logs that are mapped well
 _BELIEVED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
@@ -123,11 +125,14 @@ class Tracker:
         return not (fits or prediction.has_view) or not self._is_believable(scan, prediction, hypothesis)
 
     def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
-        """Whether the hypothesis `after`, for a `prediction` with slip, pairs half of the scan and no less than the one
-        `before`, and is jointly compatible."""
+        """Whether the hypothesis `after`, for a `prediction` with slip, is jointly compatible, and pairs half of the
+        scan with established features and no less than the one `before`. Where the view is unknown, and gates are
+        wider, it must pair most of the scan."""
         established = _pairings_with(*prediction.counted, prediction.confirmations, after.features)
         paired = int(np.count_nonzero(before.features != UNPAIRED))
         least = max(self.min_expected, paired, _EXPLAINED * len(after.features))
+        if not prediction.has_view and after.pairings < _SLIPPED * len(after.features):
+            return False
         fits = after.joint_distance < chi2_gate(max(after.dof, 1), _SLIP_CONFIDENCE)
         return established >= least and fits
 
@@ -175,7 +180,8 @@ class Tracker:
             return True
         if self.lost or prediction.has_view:
             return False
-        return log_expected_pairings(scan, prediction, hypothesis.features) < _HARDLY_ACCIDENTAL
+        limit = _NOT_ACCIDENTAL if self.doubted else _HARDLY_ACCIDENTAL
+        return log_expected_pairings(scan, prediction, hypothesis.features) < limit
 
     def _pairs_by_chance(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether chance may explain all pairings of this scan and of the last ones, by the rule of this class."""

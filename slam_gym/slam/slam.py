@@ -151,6 +151,8 @@ class Slam:
             raise RuntimeError("prediction: the map has changed since it was made, or another map made it")
         check_scan(scan)
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
+        if not len(scan) and self.view_from is None:  # odometry alone, not a scan
+            return SlamStep(prediction, hypothesis, _NO_FEATURES, np.zeros(0, np.bool_), _NO_FEATURES)
         self._weighs_all, spec = hypothesis.experience is not None, self.spec
         if self.relocator is not None:
             factor = spec.outlier_factor if prediction.has_view else _SLIP
@@ -182,7 +184,7 @@ class Slam:
         decisions, known = (hypothesis.features, created, is_decided, ids), prediction.expected
         expected, numbers = (known.positions, known.covariances), (m.n, m.step, m.next_id)
         added, removed, became = learn(
-            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings(count)
+            m.arrays, numbers, graph.counts, scan.arrays, decisions, expected, absent, self._settings
         )
         self._experience = hypothesis.experience or self._experience
         m.learned(added, len(removed))
@@ -350,11 +352,11 @@ class Slam:
         self.covisibility.link(rows[near])
         self._linked = reach
 
-    def _settings(self, measured: int) -> Settings:
-        """The settings that `learn` takes. Where the view is unknown, a step in which nothing was `measured` removes no
-        unconfirmed feature: it may be one of odometry alone."""
-        spec, looked = self.spec.map, measured > 0 or self.view_from is not None
-        before = self.map.step - spec.unconfirmed_age if looked and spec.unconfirmed_age is not None else -1
+    @property
+    def _settings(self) -> Settings:
+        """The settings that `learn` takes."""
+        spec = self.spec.map
+        before = self.map.step - spec.unconfirmed_age if spec.unconfirmed_age is not None else -1
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:

@@ -147,8 +147,8 @@ class Scan:
         """Scan of ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
 
         With c, s = cos β, sin β a measurement lies at r (c, s); its covariance is σ_r² along the line of sight and (r
-        σ_β)² across it. Other arguments and errors are those of `from_points`. Raises ValueError for bearings in
-        degrees.
+        σ_β)² across it. Both are of first order in σ_β, with which maps are consistent up to about 0.05 rad. Other
+        arguments and errors are those of `from_points`. Raises ValueError for bearings in degrees.
         """
         r = floats("ranges", ranges, (-1,))
         if (r < 0.0).any():

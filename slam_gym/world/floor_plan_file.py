@@ -22,6 +22,7 @@ from slam_gym.world.floor_plan import (
 )
 
 FORMAT, VERSION = "slam_gym floor plan", 1
+_UNKNOWN_GREY = 205  # in what map_saver writes, with a `free_thresh` of 0.25 for years in nav2
 _MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; files of real floors take less than a tenth
 _MAX_ARRAY = 8 * MAX_PIXELS + 1024  # bytes: 64-bit labels and a header
 _LARGEST = 1e9  # any number in a ROS map
@@ -161,8 +162,9 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
     values = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
     resolution, threshold = (_number(key, values[key]) for key in ("resolution", "free_thresh"))
     negate = values["negate"] if isinstance(values["negate"], bool) else _number("negate", values["negate"])
-    if values.get("mode", "trinary") not in ("trinary", "scale"):
-        raise FloorPlanError("mode", f"{reprlib.repr(values['mode'])} is neither trinary nor scale")
+    mode = values.get("mode", "trinary")
+    if mode not in ("trinary", "scale"):
+        raise FloorPlanError("mode", f"{reprlib.repr(mode)} is neither trinary nor scale")
     origin = values["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
         raise FloorPlanError("origin", f"{reprlib.repr(origin)} is not [x, y, 0]")
@@ -174,7 +176,8 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
         raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
     grey = np.arange(256.0)
     occupied = grey / 255.0 if negate else (255.0 - grey) / 255.0
-    free = np.where(occupied < threshold, 255, 0).astype(np.uint8)  # for each level of grey
+    unknown = (grey == _UNKNOWN_GREY) & (mode == "trinary") & (not negate)  # with whatever `free_thresh`
+    free = np.where((occupied < threshold) & ~unknown, 255, 0).astype(np.uint8)  # for each level of grey
     return {"occupancy": free[image], "resolution": resolution, "name": path.stem, "origin": (x, y)}
 
 

@@ -23,6 +23,7 @@ from slam_gym.world.ray_casting import NOTHING, Moving, Packed, WallGrid, cast, 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
 
+_MOST_ELONGATED = 1e5  # ratio of the axes of an ellipse of uncertainty
 _SURFACE = 1e-3  # [m] a line of sight to a person ends this far before the person's surface
 
 
@@ -35,7 +36,7 @@ class SensorSpec(Checked):
     field_of_view: float = 1.5 * math.pi  # [rad] centred on the heading
     range_sigma: float = 0.03  # [m]
     range_sigma_ratio: float = 0.005  # [m/m] of the range, added in quadrature
-    bearing_sigma: float = 0.01  # [rad]
+    bearing_sigma: float = 0.01  # [rad]; scans give covariances of first order, which hold up to about 0.05
     size_sigma: float = 0.05  # [m]
     detection: float = 0.9  # probability that a feature in sight is measured
     clutter: float = 0.3  # mean number of spurious measurements per scan (Poisson), anywhere in sight
@@ -53,8 +54,13 @@ class SensorSpec(Checked):
         super().__post_init__()
         if not self.min_range < self.range:
             raise ValueError(f"SensorSpec.min_range={self.min_range}: expected less than the range, {self.range} m")
-        if self.range_sigma == 0.0 and self.range_sigma_ratio == 0.0:
-            raise ValueError("SensorSpec.range_sigma and range_sigma_ratio must not both be 0")
+        for r in (self.min_range, self.range):
+            along, across = math.hypot(self.range_sigma, self.range_sigma_ratio * r), self.bearing_sigma * r
+            if max(along, across) > _MOST_ELONGATED * min(along, across):
+                raise ValueError(
+                    f"SensorSpec.range_sigma, range_sigma_ratio, bearing_sigma: at {r:g} m they are {along:.3g} m "
+                    f"along the view and {across:.3g} m across it, too different for a covariance"
+                )
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def test_at_the_end_the_player_is_held_against_information_gain(play_with, capsy
     said = capsys.readouterr().out
     assert wish == "next" and "world 0: map error" in said and f"information gain {game.rivals[0]:.3f}:" in said
     own = env.unwrapped.episode.map_error()
-    assert ("it is ahead" if own > game.rivals[0] else "you beat it" if own < game.rivals[0] else "a draw") in said
+    assert ("it beat you" if own > game.rivals[0] else "you beat it" if own < game.rivals[0] else "a draw") in said
 
 
 class Spinner:

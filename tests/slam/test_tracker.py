@@ -167,16 +167,17 @@ def test_pairings_that_chance_may_explain_are_no_proof_and_eight_scans_of_them_a
     assert doubts(tracker, spread, paired(2)) is by_chance and tracker.lost is by_chance
 
 
-def test_slip_is_suspected_where_pairings_are_few_or_without_a_view_fit_badly_and_needs_half_of_the_scan() -> None:
+def test_slip_is_suspected_where_pairings_are_few_or_without_a_view_fit_badly_and_needs_most_of_the_scan() -> None:
     tracker, ahead, scan = looking_ahead(), facing(AHEAD), Scan.from_points(AHEAD, sigma=0.1)
     assert not doubts(tracker, ahead, paired(FEATURES))
     badly = replace(paired(8), joint_distance=100.0)
     for made, with_view in ((ahead, False), (ahead.with_visibility(np.ones(FEATURES)), True)):
         assert tracker.suspects_slip(scan, made, paired(0)) and not tracker.suspects_slip(scan, made, paired(8))
         assert tracker.suspects_slip(scan, made, badly) is not with_view
-    for after, confirmed in ((paired(5), True), (paired(4), False), (badly, False)):
-        assert tracker.confirms_slip(paired(4), ahead, after) is confirmed
-    assert not tracker.confirms_slip(paired(6), ahead, paired(5))
+    for made, least in ((ahead, 8), (ahead.with_visibility(np.ones(FEATURES)), 5)):
+        for after, confirmed in ((paired(least), True), (paired(least - 1), False), (badly, False)):
+            assert tracker.confirms_slip(paired(4), made, after) is confirmed
+        assert not tracker.confirms_slip(paired(least + 1), made, paired(least))
 
 
 def test_a_doubt_stands_until_a_scan_pairs_something() -> None:

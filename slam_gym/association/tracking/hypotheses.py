@@ -38,6 +38,7 @@ UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
 SAME_VIEW = 0.1  # [m] hypotheses that differ by less share their visibilities
 MOST_CANDIDATES = 1_000  # pairings of a scan that are considered
 JOINT_TESTS = 300_000  # for a scan
+_DEEP = 32  # pairings, up to which all joint tests are taken to cost the same
 MEMORY = 1 << 27  # [bytes] for the pairings of all hypotheses, each conditioned on those before it
 _INVISIBLE = 1e-3  # features less visible from the predicted pose are not looked up from other poses
 _MIN_AREA = 1.0  # [m²] least area of a scan
@@ -105,13 +106,16 @@ def limits_of(scan: Scan, prediction: Prediction, width: int, margin: float) -> 
 
 @compiled
 def affordable(width: int, problems: list[ScanProblem]) -> int:
-    """The width of the beam: `width`, or what `JOINT_TESTS` and `MEMORY` allow if all these problems are searched."""
+    """The width of the beam: `width`, or what `JOINT_TESTS` and `MEMORY` allow if all these problems are searched.
+
+    A test below many pairings costs more: it conditions one on all of them."""
     tests, size = 1, 1
     for problem in problems:
         offer = problem.offer
         nodes = len(problem.levels) + offer.pairings.fixed + 1
         place = min(nodes, len(offer.rows) + offer.pairings.fixed + 1)
-        tests, size = tests + len(offer.pairings.slots), size + 32 * place * nodes  # bytes of the w of a hypothesis
+        tests += len(offer.pairings.slots) * max(nodes // _DEEP, 1) ** 2
+        size += 32 * place * nodes  # bytes of the w of a hypothesis
     return max(min(width, JOINT_TESTS // tests, MEMORY // size), 1)
 
 

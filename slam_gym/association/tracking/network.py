@@ -152,7 +152,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
     """
     part, pairings, rows, visible = problem.part, problem.offer.pairings, problem.offer.rows, problem.visible
     points, count, m = scan[0], len(pairings.slots), len(scan[0])
-    out, weight = np.empty((count, 26)), np.empty(count)
+    out, weight = np.empty((count, len(INPUTS))), np.empty(count)
     by_measurement, by_feature = np.zeros((m, 2)), np.zeros((len(rows), 2))  # number of pairings, sum of weights
     for c in range(count):
         weight[c] = _of_pairing(scan, pairings, rows, expected, c, out[c])
