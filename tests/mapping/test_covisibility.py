@@ -1,7 +1,5 @@
 """The covisibility graph against a dictionary of counts."""
 
-import copy
-import pickle
 from collections import Counter
 from itertools import combinations
 
@@ -76,13 +74,6 @@ def test_localities_equal_the_definition(seed: int) -> None:
         np.testing.assert_array_equal(mark_local(graph.counts, graph.n, np.append(chosen, UNPAIRED)), expected)
         pairs = [[bool(i == j or oracle.count(i, j)) for j in chosen] for i in chosen]
         np.testing.assert_array_equal(among(graph.counts, chosen), np.array(pairs, dtype=bool).reshape(size, size))
-
-
-def test_copies_go_their_own_way() -> None:
-    graph, oracle = random_pair(np.random.default_rng(7), 20)
-    for other in (copy.deepcopy(graph), pickle.loads(pickle.dumps(graph))):
-        other.see_together(np.arange(10))
-        assert_equal(graph, oracle)
 
 
 def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:

@@ -16,7 +16,7 @@ from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import NO_ID, IntArray, Odometry, Scan
 from tests.slam.rings import RADIUS, REACH, VIEW, Drive, drive, duplicates, look, map_it, ring_of_landmarks
 
@@ -195,6 +195,15 @@ def test_a_robot_that_maps_a_place_twice_says_so_and_an_atlas_closes_the_loop_by
     assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0
     assert duplicates(judged) < 0.6 * duplicates(plain) and error < without
     assert_valid(slam, "loop")
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.8])
+def test_a_wrong_pairing_with_one_old_feature_does_not_hide_that_those_around_it_are_missing(moved: float) -> None:
+    place = np.random.default_rng(0).uniform(1.0, 4.0, (12, 2))
+    copy, slam = place + np.outer(np.arange(12) > 0, [0.0, moved]), Slam(SlamSpec(lost_fraction=0.0), VIEW)
+    for step in range(350):
+        slam.step(STILL, Scan.from_points(place if step < 50 else copy, sigma=0.02), "nearest_neighbour")
+    assert slam.missed_loop == (moved > 0.0)
 
 
 def test_where_the_view_is_unknown_no_feature_is_missed_that_walls_have_always_hidden_from_here() -> None:

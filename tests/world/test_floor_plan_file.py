@@ -116,6 +116,15 @@ def test_every_format_gives_the_same_plan(suffix, tmp_path, cv2):
     assert plan.name == "map"
 
 
+@pytest.mark.parametrize("threshold", [0.196, 0.25])
+def test_what_a_ros_map_has_not_explored_is_no_floor_whatever_its_threshold(tmp_path, cv2, threshold):
+    image = blank()
+    image[40:60, 40:60] = 205
+    cv2.imwrite(str(tmp_path / "image.pgm"), image)
+    (tmp_path / "map.yaml").write_text(f"image: image.pgm\nresolution: 0.05\nfree_thresh: {threshold}")
+    assert len(load_floor_plan(tmp_path / "map.yaml").features.positions) == 8
+
+
 def test_ros_map_origin_and_negate(tmp_path, cv2):
     cv2.imwrite(str(tmp_path / "image.png"), 255 - blank())
     (tmp_path / "map.yaml").write_text("image: image.png\nresolution: 0.05\norigin: [-3.0, 2.0, 0.0]\nnegate: 1\n")

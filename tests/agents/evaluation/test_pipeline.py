@@ -115,15 +115,18 @@ def test_a_folder_belongs_to_one_evaluation(tmp_path):
     assert not (tmp_path / "new").exists() and len(list((tmp_path / "other").iterdir())) == 1
 
 
-def test_a_model_that_has_changed_is_not_resumed(tmp_path):
+@pytest.mark.parametrize("file", ["own.npz", "own_rule.py"])
+def test_a_model_or_module_that_has_changed_is_not_resumed(tmp_path, monkeypatch, file):
+    monkeypatch.syspath_prepend(tmp_path)
     write(tmp_path / "own.npz", load("ppo", VERSION, INPUTS, SHAPES))
-    names = [str(tmp_path / "own.npz")]
+    (tmp_path / "own_rule.py").write_text("from slam_gym.association import jcbb")
+    names = ["own_rule:jcbb" if file == "own_rule.py" else str(tmp_path / file)]
     carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", **NEW)
-    (tmp_path / "own.npz").open("ab").write(b"more")
-    with pytest.raises(ValueError, match=r"own.npz is not the file of which .*out holds results"):
+    (tmp_path / file).open("ab").write(b"  # more")
+    with pytest.raises(ValueError, match=r"own.* is not the file of which .*out holds results"):
         carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", **RESUMED)
     driven = driver_evaluation([Driver("random")], [replace(SMALL, associator=names[0])], range(1))
-    assert driven.about["models"][names[0]]["sha256"] == hashlib.sha256((tmp_path / "own.npz").read_bytes()).hexdigest()
+    assert driven.about["models"][names[0]]["sha256"] == hashlib.sha256((tmp_path / file).read_bytes()).hexdigest()
 
 
 def test_a_folder_without_results_is_refused_by_name(tmp_path):
