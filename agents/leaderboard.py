@@ -62,7 +62,7 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
     out = execution.output or board / name
     resume = execution.resume or unfinished(out)
     if not resume and (out / METADATA).exists():
-        raise ValueError(f"{out} holds the finished results of this entry: delete the folder to evaluate it again")
+        raise ValueError(f"{out} has finished: --resume keeps it as it is; delete the folder to evaluate it again")
     frame = carry_out(leaderboard_evaluation(entry, Protocol(role, quick)), out, execution.jobs, resume).frame
     failed = frame["failed"].dropna() if "failed" in frame else ()
     if len(failed):

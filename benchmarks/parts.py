@@ -3,7 +3,7 @@
 Each part begins with an empty map; the parts overlap, so their mean is not over independent logs. The simulated logs
 have the path, the circles and the scans of the batch solution with the true identities. Their errors are drawn with the
 covariances of the log; the true errors are larger than these say, and last for several steps. Features mapped twice,
-precision and recall of every log, and their means.
+features that do not exist, precision and recall of every log, and their means.
 
     SLAM_GYM_DATA=... python benchmarks/parts.py --out parts.csv       # five minutes
 """
@@ -24,7 +24,7 @@ from slam_gym.slam.relocate import SEARCH
 
 PARTS = ((0, 3297), (0, 1650), (0, 2400), (300, 3297), (600, 3297), (900, 3297), (600, 2400), (1200, 3297),
          (1650, 3297), (300, 2000), (700, 2700))  # fmt: skip
-MEASURES = ["duplicates", "precision", "recall"]
+MEASURES = ["duplicates", "clutter_features", "precision", "recall"]
 
 
 def simulated(log: Recording, best: MappedLog, rng: np.random.Generator) -> Recording:
