@@ -26,7 +26,8 @@ _ABSENT = 4.0  # least expected number of looks that should have shown a feature
 _LOOKS = 20  # the last so many are judged together
 _REPLACED = 2.5  # mean number per look from which a loop is held to be missed; few sound maps of floors reach it …
 _REPLACED_WITHOUT_VIEW = 0.3  # … and where the view is unknown, since few features count then: sound logs reach 0.2
-_IN_VIEW = 0.5  # visibility from which a feature should be in view
+_IN_VIEW = 0.5  # visibility from which a feature should be in view …
+_NEAR_IN_VIEW = 0.8  # … and a near one: in sound maps of rooms, furniture hides many that are less visible
 _OLD = 100  # [steps] since a feature was last seen
 _SQUARE = 0.75  # [m] side of the squares that tell from where a feature was measured
 _WELL_INSIDE = 0.85  # fraction of the sector: near its edge, a feature may be out of view
@@ -103,7 +104,7 @@ class NegativeEvidence:
         """(k,) which of the predicted features should be in view."""
         visibility = prediction.visibility()
         if visibility is not None:
-            return visibility >= _IN_VIEW
+            return visibility >= np.where(prediction.near, _NEAR_IN_VIEW, _IN_VIEW)
         assert self._tracker is not None
         in_view = self._tracker.in_sector(prediction.positions, _WELL_INSIDE)
         rows = np.flatnonzero(in_view)
