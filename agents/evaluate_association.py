@@ -33,7 +33,8 @@ def main(
         Names,
         Option(
             metavar="NAME …",
-            help="See slam-gym list relocators; or none. By default none and gcbb; --recording: gcbb; --suite: all.",
+            help="See slam-gym list relocators; or none, without --suite. By default none and gcbb; "
+            "--recording: gcbb; --suite: all.",
         ),
     ] = None,
     split: Annotated[

@@ -3,9 +3,11 @@
 LOG.map.csv     map, id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame of the
                 first pose; map 0 is the one that the robot is in, others were begun when it was lost
 LOG.path.tum    the robot's pose at every step, for evo and other tools
-LOG.png         features with ellipses of two standard deviations, and the path; maps that are not joined overlap
+LOG.png         features with ellipses of two standard deviations, and the path; maps that are not joined overlap,
+                each in its colour
 """
 
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated
 
@@ -31,7 +33,7 @@ def main(
     from agents.evaluation.mapped_log import map_log
     from agents.evaluation.tables import counted
     from slam_gym.recordings import open_recordings, write_tum
-    from slam_gym.rendering.plot import plot_map, plot_path
+    from slam_gym.rendering.plot import BLUE, GREEN, INK, YELLOW, plot_map, plot_path
     from slam_gym.scenarios import slam_for
     from slam_gym.simulation.judged import CEILING
     from slam_gym.types import UNLABELLED
@@ -55,8 +57,8 @@ def main(
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
         ax = plot_path(poses, figure.subplots())
-        for m in slam.maps[::-1]:
-            plot_map(m, ax)
+        for m, colour in reversed(list(zip(slam.maps, cycle((BLUE, GREEN, YELLOW, INK))))):  # the active map on top
+            plot_map(m, ax, colour=colour)
         title = f"{recording.name}: {counted(len(table), 'feature')} by {associator}"
         ax.set(title=title, xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])

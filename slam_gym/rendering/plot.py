@@ -31,12 +31,12 @@ _MOST_BRANCHES = 400  # in a tree that is still legible
 _LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
 
 
-def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: float = 2.0) -> Axes:
+def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: float = 2.0, colour: str = BLUE) -> Axes:
     """Plot features with ellipses of `sigmas` standard deviations, provisional ones in grey, and the robot in red."""
     ax, m = _axes(ax), stochastic_map
-    for chosen, colour in ((~m.provisional, BLUE), (m.provisional, GREY)):
-        ax.plot(*m.positions[chosen].T, "o", ms=3.0, mfc="none", mec=colour, mew=0.9)
-        _ellipses(ax, m.positions[chosen], m.covariances[chosen], colour, sigmas)
+    for chosen, drawn_in in ((~m.provisional, colour), (m.provisional, GREY)):
+        ax.plot(*m.positions[chosen].T, "o", ms=3.0, mfc="none", mec=drawn_in, mew=0.9)
+        _ellipses(ax, m.positions[chosen], m.covariances[chosen], drawn_in, sigmas)
     spread = sigmas * np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))  # whole ellipses are shown
     ax.update_datalim(np.vstack([m.positions - spread, m.positions + spread]))
     x, y, heading = m.pose

@@ -71,8 +71,8 @@ def from_raster(
     else:
         free = _enclosed(free, resolution)
     if not free.any():
-        narrow = f"wider than 0.5 m is lighter than {FREE_ABOVE}; is the resolution right?"
-        raise FloorPlanError("occupancy", f"no free space: no part of a floor {narrow}")
+        narrow = f"wider than 0.5 m is lighter than {FREE_ABOVE} (the lightest pixel is {int(occupancy.max())})"
+        raise FloorPlanError("occupancy", f"no free space: no part of a floor {narrow}; is the resolution right?")
     outlines = trace(free, resolution, _DRAWN if valid is not None else _MEASURED)
     frame = _Frame(free.shape[0], resolution, origin)
     rings = [frame(outline.ring) for outline in outlines]

@@ -29,12 +29,12 @@ def points(ax):
 
 
 def test_a_map_is_drawn_where_it_lies_with_its_ellipses(slam):
-    ax = plot_map(slam[0].map)
-    shown = points(ax)
-    assert all((np.abs(shown - p).max(axis=1) < 1e-12).any() for p in [*slam[0].map.positions, slam[0].map.pose[:2]])
-    assert len(ax.collections[0].get_offsets()) == 3 and ax.get_aspect() == 1.0
-    sigmas = np.sqrt(np.linalg.eigvalsh(slam[0].map.covariances))
-    assert np.allclose(2 * ax.collections[0]._widths, 4.0 * sigmas[:, 1])  # matplotlib keeps half of what it was told
+    ax = plot_map(slam[0].map, colour="#123456")
+    there = [*slam[0].map.positions, slam[0].map.pose[:2]]
+    assert all((np.abs(points(ax) - p).max(axis=1) < 1e-12).any() for p in there)
+    assert len(ax.collections[0].get_offsets()) == 3 and ax.lines[0].get_markeredgecolor() == "#123456"
+    sigmas = np.linalg.eigvalsh(slam[0].map.covariances) ** 0.5
+    assert np.allclose(ax.collections[0]._widths, 2.0 * sigmas[:, 1]) and ax.get_aspect() == 1.0  # half of the widths
 
 
 def test_a_scan_is_drawn_with_an_arrow_for_each_pairing(slam):

@@ -148,7 +148,7 @@ def test_willow_garage_can_be_driven(data_dir):
         (blank(), 50.0, None, "resolution"),
         (blank().astype(float), PIXEL, None, "occupancy: holds float64"),
         (blank()[0], PIXEL, None, "occupancy: has shape"),
-        (np.zeros((50, 50), np.uint8), PIXEL, None, "occupancy: no free space"),
+        (np.zeros((50, 50), np.uint8), PIXEL, None, "lightest pixel is 0"),
         (np.full((50, 50), 205, np.uint8), PIXEL, None, "occupancy: no free space"),
         (blank(), PIXEL, np.ones((3, 3), int), "valid"),
         (blank(), PIXEL, blank() / 2.0, "valid"),
