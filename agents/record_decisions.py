@@ -45,7 +45,7 @@ def decisions(
         observations, steps, look, over, answer = [observation], [], -1, False, None
         while not over:
             mask, right = info["action_mask"], info["truth"]["action"]
-            if not uses_truth and info["look"] != look:
+            if not uses_truth and bare.walk is not None and info["look"] != look:  # type: ignore[attr-defined]
                 look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)  # type: ignore[attr-defined]
             action = right if uses_truth else bare.action_of(answer)  # type: ignore[attr-defined]
             if action is None or action < 0:
@@ -73,26 +73,30 @@ def main(
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
 
-    worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES, split)
-    name = dataset or f"slam_gym/{'-'.join(stem(each.scenario) for each in worlds)}/{stem(associator)}-v0"
-    try:
-        parse_dataset_id(name)
-    except (TypeError, ValueError) as error:  # TypeError: it has no version
-        reason = error if isinstance(error, ValueError) else "no version"
-        raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0 ({reason})") from None
-    if name in minari.list_local_datasets():
-        raise ValueError(f"--dataset {name}: there is one of this name")
-    envs = [each.make() for each in worlds]
-    for each, e in ((each, e) for each, env in zip(worlds, envs) for e in decisions(env, associator, numbers)):
-        ends = np.arange(1, len(e.actions) + 1) == len(e.actions)
-        steps, infos = (e.observations, e.actions, e.rewards), {"action_mask": e.masks, "right": e.right}
-        episode = len(buffers), e.world, {"world": e.world}  # seed and options of its reset
-        buffers.append(EpisodeBuffer(*episode, *steps, ends, np.zeros_like(ends), infos))
-        right, total = np.mean(e.actions == e.right), e.rewards.sum()
-        print(f"{each.scenario}, world {e.world}: {len(ends)} decisions, {right:.0%} right, return {total:.2f}")
-    text = f"Decisions in Associate-v0, {len(numbers)} episodes each of {', '.join(each.scenario for each in worlds)}"
-    minari.create_dataset_from_buffers(name, buffers, env=envs[0], algorithm_name=associator, description=text)
-    print(f'data set: minari.load_dataset("{name}")')
+    worlds, numbers = world.worlds(split), episodes.range(EPISODES, split)
+    if dataset and len(worlds) > 1:
+        raise ValueError(f"--dataset {dataset}: each of the {len(worlds)} scenarios has a data set of its own")
+    names = [dataset or f"slam_gym/{stem(each.scenario)}/{stem(associator)}-v0" for each in worlds]
+    for name in names:
+        try:
+            parse_dataset_id(name)
+        except (TypeError, ValueError) as error:  # TypeError: it has no version
+            reason = error if isinstance(error, ValueError) else "no version"
+            raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0 ({reason})") from None
+        if name in minari.list_local_datasets():
+            raise ValueError(f"--dataset {name}: there is one of this name")
+    for name, each in zip(names, worlds):
+        buffers, env = [], each.make()
+        for e in decisions(env, associator, numbers):
+            ends = np.arange(1, len(e.actions) + 1) == len(e.actions)
+            steps, infos = (e.observations, e.actions, e.rewards), {"action_mask": e.masks, "right": e.right}
+            episode = len(buffers), e.world, {"world": e.world}  # seed and options of its reset
+            buffers.append(EpisodeBuffer(*episode, *steps, ends, np.zeros_like(ends), infos))
+            right, total = np.mean(e.actions == e.right), e.rewards.sum()
+            print(f"{each.scenario}, world {e.world}: {len(ends)} decisions, {right:.0%} right, return {total:.2f}")
+        text = f"Decisions in Associate-v0, {len(numbers)} episodes of {each.scenario}"
+        minari.create_dataset_from_buffers(name, buffers, env=env, algorithm_name=associator, description=text)
+        print(f'data set: minari.load_dataset("{name}")')
 
 
 app = command("record-decisions", main, "--scenario drift-2 --associator learned --episodes 20")

@@ -231,11 +231,11 @@ def _try_out(driver: Driver, loop: ExploreArguments, episode: int) -> None:
     observation, info = begin_episode(env, agent, episode)
     try:
         action = agent.act(observation, visible(info))
-    except (KeyError, ValueError) as error:
+    except (AssertionError, KeyError, ValueError) as error:  # AssertionError: of Stable-Baselines3
         if not driver.model:
             error.add_note(f"raised by agent {driver.agent}")
             raise
-        raise ValueError(f"model {driver.model}: does not fit {loop.world}: {error}") from None
+        raise ValueError(f"model {driver.model}: does not fit {loop.world}: {str(error)[:200]}") from None
     env.step(action)
 
 

@@ -109,7 +109,7 @@ def train(
     changes = {name: getattr(training, name) for name in ("timesteps", "eval_every", "envs")}
     hyper = replace(hyper, **{name: value for name, value in changes.items() if value is not None})
     models = [*out.glob(MODEL), *out.glob(f"{CHECKPOINTS}/*.zip")]
-    last = max(models, key=lambda path: path.stat().st_mtime, default=None)
+    last = max(models, key=lambda path: policies.read_about(path).timesteps, default=None)
     if last is not None and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if training.resume and associator is not None:

@@ -17,8 +17,9 @@ where e_k is the elementary symmetric polynomial, q_i the fraction of landmarks 
 measurement i, s² the variance of the scan's points, σ² the mean of a_i, and λ_j the density around landmark j within
 the extent of a scan, so that crowded corners count as such. With c_j other landmarks in that area A, λ_j^{k−1} is
 estimated by c_j (c_j − 1) … (c_j − k + 2) / A^{k−1}. For a Poisson process this is unbiased, which a power of c_j / A
-is not. Where the sum of these is smaller than n λ̄^{k−1} with the mean density λ̄, the latter is used. All of it is
-computed as logarithms: the number of hypotheses of a scan of some hundred measurements overflows a float.
+is not; but c_j is counted by hashing, and is too large by about one: in sparse maps E_k is several times too large, on
+the safe side. Where the sum of these is smaller than n λ̄^{k−1} with the mean density λ̄, the latter is used. All of it
+is computed as logarithms: the number of hypotheses of a scan of some hundred measurements overflows a float.
 
 Every further pairing multiplies E_k by about λ π γ σ². A hypothesis is accepted from the first k on for which fewer
 than `probability` accidental hypotheses are expected.
@@ -193,7 +194,8 @@ def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
     """Other points in the 3 × 3 cells of `side` around each point: number (n,), and the one before it in its own cell
     (n,), or UNPAIRED.
 
-    Cells are hashed into a table, where distinct cells may collide: this can only make the map look more crowded.
+    Cells are hashed into a table, where distinct cells may collide. This can only make the map look more crowded: by
+    about one point on average, of any number of points.
     """
     n = len(positions)
     size = 1 << max(6, (8 * n - 1).bit_length())

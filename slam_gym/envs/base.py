@@ -146,13 +146,15 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             self._np_random = self._next_generator()
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
-        self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), True, []
+        snapshot = Snapshot(state, self._series, options, [])
+        self._snapshot, self._failed, self._frames = snapshot, True, []
         try:
             observation = self._begin(self._draw_world(options))
             self._changed()
             info = self._info()
-        except BaseException:
-            self._snapshot = None  # there is no episode to go back to
+        except BaseException:  # there is no episode to go back to, and the next reset tries the same one
+            self.np_random.bit_generator.state = state
+            self._series, self._snapshot, self._episode_generator = snapshot.series, None, None
             raise
         self._failed = False
         return observation, info

@@ -309,6 +309,8 @@ class _Worlds:
             with _numbered_errors(world):
                 value = env.get_wrapper_attr(name)
                 values.append(value(*arguments, **named) if callable(value) else value)
+            if name == "restore":
+                self._write_row(world, *values[-1], 0.0, env.unwrapped.over, False)
         return values
 
     def set_attr(self, name: str, values: Sequence[Any]) -> None:

@@ -52,8 +52,9 @@ class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordC
 class RecordEveryTick(gym.wrappers.RecordVideo):
     """Gymnasium's RecordVideo with a picture of every tick instead of every step, since a goal takes many ticks.
 
-    It has the arguments of RecordVideo. Raises ValueError for an environment without `render_mode="rgb_array_list"`,
-    whose `render` returns the pictures of all ticks since the last call.
+    It has the arguments of RecordVideo; a film ends with the step in which `video_length` pictures are reached. Raises
+    ValueError for an environment without `render_mode="rgb_array_list"`, whose `render` returns the pictures of all
+    ticks since the last call.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *arguments: Any, **named: Any) -> None:

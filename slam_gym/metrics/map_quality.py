@@ -34,11 +34,11 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
 
         [ Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) ]^(1/p).
 
-    Raises ValueError for points that are not finite, p < 1 or a cutoff c that is not positive.
+    Raises ValueError for points that are not finite, and for a p < 1 or a cutoff c ≤ 0, or one that is not finite.
     """
     estimated, true = floats("estimated", estimated, (-1, 2)), floats("true", true, (-1, 2))
-    if not (p >= 1.0 and 0.0 < cutoff < math.inf):
-        raise ValueError(f"GOSPA needs p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
+    if not (1.0 <= p < math.inf and 0.0 < cutoff < math.inf):
+        raise ValueError(f"GOSPA needs a finite p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
     _, localisation, pairs = assign(estimated, indexed(true, cutoff), p)
     penalty, root = 0.5 * cutoff**p, 1.0 / p
     missed, false = penalty * (len(true) - pairs), penalty * (len(estimated) - pairs)
@@ -140,7 +140,8 @@ def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
     Both are poses (t, 3) or positions (t, 2), at the same instants; use `aligned` for estimates in another frame than
     the truth (Sturm et al., IROS 2012). NaN for t = 0. Raises as `landmark_rmse`.
     """
-    return landmark_rmse(np.asarray(estimated)[:, :2], np.asarray(true)[:, :2], aligned=aligned)
+    first, second = (np.asarray(path)[:, :2] if len(path) else np.empty((0, 2)) for path in (estimated, true))
+    return landmark_rmse(first, second, aligned=aligned)
 
 
 def align_se2(source: Array, target: Array) -> Array:

@@ -16,6 +16,7 @@ from slam_gym.simulation.episode import Episode, survey
 from slam_gym.simulation.goals import LOOK
 from slam_gym.slam.relocate import LocalityName, locality_of
 from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Locality, Scan
+from slam_gym.world.physics import World
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
@@ -125,5 +126,6 @@ def _outside(mapped: MappedWorld, scenario: Scenario, rng: np.random.Generator) 
         raise ValueError(f"outside: the scenario {scenario.name!r} has one world only, and all of it is inside")
     sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
     true = free_start(site.plan, site.cells, scenario.robot.radius, rng)
-    scan, _ = sensor.scan(true, rng)
+    world = World(site.plan, true, scenario.robot, scenario.dynamics, rng)
+    scan, _ = sensor.scan(true, rng, (world.people, world.furniture_segments))
     return Kidnapped(scan, False, true, np.full(3, np.nan), np.full(len(scan), UNPAIRED))

@@ -274,8 +274,8 @@ class Slam:
     def missed_loop(self) -> bool:
         """Whether the robot seems to map a place for the second time: see `slam_gym.slam.negative_evidence`.
 
-        It remains true until a loop is closed, maps are joined, or another map begins. Always False without localities,
-        and with neither `view_from` nor `relocate`.
+        It remains true until a loop is closed, maps are joined, or another map begins. Always False with neither
+        `view_from` nor `relocate`.
         """
         return self._evidence.missed_loop
 

@@ -29,6 +29,8 @@ def test_decisions_are_legal_and_can_be_played_again():
 def test_another_associator_decides_otherwise():
     (good,), (bad,) = (list(decisions(SHORT.make(), name, range(1))) for name in ("true_association", "singles"))
     assert (good.actions == good.right)[good.right >= 0].all() and (bad.actions != bad.right).any()
+    blind = AssociateArguments("office-small", overrides=(("budget", 5), ("sensor.range", 0.5))).make()
+    assert [own.actions.tolist() for own in decisions(blind, "jcbb", range(1, 3))] == [[5], [5]]  # there is no choice
 
 
 def test_some_decisions_are_mistakes_where_they_are_asked_for():
@@ -41,16 +43,16 @@ def test_some_decisions_are_mistakes_where_they_are_asked_for():
 def test_they_become_a_data_set(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    names = ("--scenario", "office-small", "hall", "--dataset", "mine-v0")
-    result = typed(app, *names, "--seed", 5, "--episodes", 1, "--set", "budget=20", "--associator", "singles")
+    names = ("--scenario", "office-small", "hall", "--seed", 5, "--set", "budget=20", "--associator", "singles")
+    result = typed(app, *names, "--episodes", 1)
     assert result.exit_code == 0, result.output
-    episodes = list(minari.load_dataset("mine-v0").iterate_episodes())
-    assert len(episodes) == 2 and episodes[0].terminations[-1] and len(episodes[0].infos["right"]) > 5
-    data = minari.load_dataset("mine-v0")
-    (how,) = data.storage.get_episode_metadata([0])
-    begin = {"seed": how["seed"], "options": {"world": how["options"]["world"]}}
-    observation, _ = data.recover_environment().reset(**begin)
-    assert all(np.array_equal(part[0], observation[name]) for name, part in episodes[0].observations.items())
+    assert "a data set of its own" in typed(app, *names, "--dataset", "mine-v0").stderr
+    for data in (minari.load_dataset(f"slam_gym/{scenario}/singles-v0") for scenario in ("office-small", "hall")):
+        (episode,), (how,) = data.iterate_episodes(), data.storage.get_episode_metadata([0])
+        assert episode.terminations[-1] and len(episode.infos["right"]) > 5
+        begin = {"seed": how["seed"], "options": {"world": how["options"]["world"]}}
+        observation, _ = data.recover_environment().reset(**begin)
+        assert all(np.array_equal(part[0], observation[name]) for name, part in episode.observations.items())
 
 
 @pytest.mark.parametrize("name", ["mine", "mine_v0", "my data-v0", "../mine-v0"])

@@ -109,7 +109,10 @@ def test_worlds_can_be_asked_for_and_are_numbered_in_errors(spread) -> None:
         with pytest.raises(WorldError, match="world"):
             wrong()
     spread.reset(seed=5)  # none of these did any harm
+    masks, start = spread.action_masks(), spread.call("snapshot")[0]
     spread.step(legal(spread, np.random.default_rng(0)))
+    spread.call("restore", start)
+    assert (spread.action_masks() == masks[0]).all()
 
 
 def test_without_autoreset_an_ended_world_is_reset_by_hand_and_alone() -> None:
