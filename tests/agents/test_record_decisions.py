@@ -50,8 +50,7 @@ def test_they_become_a_data_set(tmp_path, monkeypatch):
     for data in (minari.load_dataset(f"slam_gym/{scenario}/singles-v0") for scenario in ("office-small", "hall")):
         (episode,), (how,) = data.iterate_episodes(), data.storage.get_episode_metadata([0])
         assert episode.terminations[-1] and len(episode.infos["right"]) > 5
-        begin = {"seed": how["seed"], "options": {"world": how["options"]["world"]}}
-        observation, _ = data.recover_environment().reset(**begin)
+        observation, _ = data.recover_environment().reset(seed=how["seed"], options={"world": how["options"]["world"]})
         assert all(np.array_equal(part[0], observation[name]) for name, part in episode.observations.items())
 
 

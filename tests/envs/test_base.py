@@ -371,5 +371,4 @@ def test_a_step_that_fails_is_not_done_and_the_way_back_is_open() -> None:
     for same in (env, copy.deepcopy(env)):
         with pytest.raises(RuntimeError, match=r"call reset\(\)"):
             same.step(ahead)
-    for one, other in zip((env.reset(), env.step(ahead)), (twin.reset(seed=4), twin.step(ahead))):
-        assert not differences(one, other)  # the next reset tries again
+    assert not differences(env.reset(), twin.reset(seed=4))  # the next reset tries again

@@ -52,9 +52,6 @@ def in_order(value):
     return value.item() if isinstance(value, np.generic) else value
 
 
-# -- bit for bit ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("case", "mode"),
     [*((case, AutoresetMode.NEXT_STEP) for case in CASES), ("explore, twists", AutoresetMode.SAME_STEP),
@@ -109,10 +106,9 @@ def test_worlds_can_be_asked_for_and_are_numbered_in_errors(spread) -> None:
         with pytest.raises(WorldError, match="world"):
             wrong()
     spread.reset(seed=5)  # none of these did any harm
-    masks, start = spread.action_masks(), spread.call("snapshot")[0]
     spread.step(legal(spread, np.random.default_rng(0)))
-    spread.call("restore", start)
-    assert (spread.action_masks() == masks[0]).all()
+    masks, _ = spread.action_masks(), spread.call("restore", spread.call("snapshot")[0])
+    assert (masks != masks[0]).any() and (spread.action_masks() == masks[0]).all()
 
 
 def test_without_autoreset_an_ended_world_is_reset_by_hand_and_alone() -> None:
@@ -297,8 +293,7 @@ def test_pictures_of_all_worlds() -> None:
     pytest.importorskip("pygame")
     envs = small("Explore-v0", render_mode="rgb_array")
     envs.reset(seed=0)
-    pictures = envs.render()
-    assert len(pictures) == 2 and not np.array_equal(*pictures)
+    assert not np.array_equal(*envs.render())
 
 
 @pytest.mark.parametrize("wrapper", [wrappers.NormalizeReward, wrappers.DictInfoToList, wrappers.FlattenObservation])
