@@ -147,9 +147,6 @@ def test_an_episode_that_is_too_long_is_truncated(mode) -> None:
     assert ("final_obs" in infos) == (mode is AutoresetMode.SAME_STEP)
 
 
-# -- refusals and ends ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_a_bad_action_is_refused_with_its_world_and_no_world_moves(name) -> None:
     envs, twin = small(name), small(name)
@@ -267,9 +264,6 @@ def test_a_worker_that_is_killed_is_told_of() -> None:
 def test_bad_arguments_are_refused(options, message) -> None:
     with pytest.raises(ValueError, match=message):
         many("Explore-v0", **{"num_envs": 2} | options)
-
-
-# -- what is handed out --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)

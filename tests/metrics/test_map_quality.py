@@ -68,8 +68,9 @@ def test_bad_points_are_refused():
         gospa(good, np.array([[np.inf, 0.0]]))
     with pytest.raises(ValueError, match="sigma0"):
         map_error(good, good, 0.0)
-    with pytest.raises(ValueError, match="cutoff"):
-        gospa(good, good, cutoff=-1.0)
+    for wrong in ({"cutoff": -1.0}, {"p": np.inf}):
+        with pytest.raises(ValueError, match="GOSPA needs a finite p"):
+            gospa(good, good, **wrong)
     with pytest.raises(ValueError, match=r"\(m, 2\)"):
         gospa(np.zeros((3, 3)), good)
     with pytest.raises(ValueError, match="one shape"):
@@ -109,7 +110,7 @@ def test_the_trajectory_error_is_that_of_the_positions():
     assert ate(true + np.array([0.3, 0.4, 1.0]), true) == pytest.approx(0.5)
     moved = transform(np.array([1.0, -2.0, 2.5]), true[:, :2].copy())
     assert ate(moved, true) > 0.5 and ate(moved, true, aligned=True) == pytest.approx(0.0, abs=1e-12)
-    assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3))))
+    assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3)))) and math.isnan(ate([], []))
 
 
 def blurred(seed: int) -> tuple[np.ndarray, np.ndarray]:
