@@ -75,7 +75,7 @@ Beyond these limits a step takes minutes, or memory runs out. A limit can be rai
 
 class Checked:
     """Base of settings dataclasses. Making one raises ValueError that names the first number outside its `LIMITS`, or
-    of another type than its field.
+    the first number, True or False of another type than its field.
     """
 
     def __post_init__(self) -> None:
@@ -88,6 +88,9 @@ class Checked:
             if isinstance(value, bool) or not isinstance(value, number) or not least <= value <= greatest:
                 what = f"a {'whole ' * is_whole}number from {least:g} to {greatest:g}"
                 raise ValueError(f"{kind}.{name}={value}: expected {what} (slam_gym.validation.LIMITS)")
+        for name in (name for name, kinds in types.items() if bool in kinds):
+            if not isinstance(value := getattr(self, name), (bool, np.bool_)):
+                raise ValueError(f"{kind}.{name}={value!r}: expected True or False")
 
 
 @functools.cache

@@ -87,6 +87,8 @@ def test_a_hypothesis_that_does_not_fit_is_refused_by_name() -> None:
 def test_a_name_in_place_of_a_function_is_refused_and_an_error_says_whose_it_is() -> None:
     with pytest.raises(ValueError, match=r"spec: MapSpec.*, expected a SlamSpec"):
         Slam(MapSpec())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"SlamSpec\.locality='False': expected True or False"):
+        SlamSpec(locality="False")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="relocate: 'gcbb' is not a function; relocate_by"):
         Slam(relocate="gcbb")  # type: ignore[arg-type]
     with pytest.raises(ZeroDivisionError) as raised:
