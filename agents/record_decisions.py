@@ -38,18 +38,19 @@ def decisions(
     from slam_gym.association import resolve_associator
     from slam_gym.simulation.judged import CEILING
 
-    associate, bare, uses_truth = resolve_associator(associator), env.unwrapped, associator == CEILING
+    bare: Any = env.unwrapped
+    associate, uses_truth = resolve_associator(associator), associator == CEILING
     for world in worlds:
         rng = np.random.default_rng((world, 3))
         observation, info = env.reset(**reset_arguments(world))
         observations, steps, look, over, answer = [observation], [], -1, False, None
         while not over:
             mask, right = info["action_mask"], info["truth"]["action"]
-            if not uses_truth and bare.walk is not None and info["look"] != look:  # type: ignore[attr-defined]
-                look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)  # type: ignore[attr-defined]
-            action = right if uses_truth else bare.action_of(answer)  # type: ignore[attr-defined]
+            if not uses_truth and bare.walk is not None and info["look"] != look:  # no walk: there is no choice
+                look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)
+            action = right if uses_truth else bare.action_of(answer)
             if action is None or action < 0:
-                action = bare.K  # type: ignore[attr-defined]
+                action = bare.K
             if rng.random() < mistakes:
                 action = int(rng.choice(np.flatnonzero(mask)))
             observation, reward, terminated, truncated, info = env.step(action)
@@ -76,8 +77,8 @@ def main(
     worlds, numbers = world.worlds(split), episodes.range(EPISODES, split)
     if dataset and len(worlds) > 1:
         raise ValueError(f"--dataset {dataset}: each of the {len(worlds)} scenarios has a data set of its own")
-    names = [dataset or f"slam_gym/{stem(each.scenario)}/{stem(associator)}-v0" for each in worlds]
-    for name in names:
+    data_sets = {dataset or f"slam_gym/{stem(each.scenario)}/{stem(associator)}-v0": each for each in worlds}
+    for name in data_sets:
         try:
             parse_dataset_id(name)
         except (TypeError, ValueError) as error:  # TypeError: it has no version
@@ -85,7 +86,7 @@ def main(
             raise ValueError(f"--dataset {name}: is neither NAME-v0 nor FOLDER/NAME-v0 ({reason})") from None
         if name in minari.list_local_datasets():
             raise ValueError(f"--dataset {name}: there is one of this name")
-    for name, each in zip(names, worlds):
+    for name, each in data_sets.items():
         buffers, env = [], each.make()
         for e in decisions(env, associator, numbers):
             ends = np.arange(1, len(e.actions) + 1) == len(e.actions)

@@ -75,7 +75,7 @@ Beyond these limits a step takes minutes, or memory runs out. A limit can be rai
 
 class Checked:
     """Base of settings dataclasses. Making one raises ValueError that names the first number outside its `LIMITS`, or
-    the first number, True or False of another type than its field.
+    the first number or bool of another type than its field.
     """
 
     def __post_init__(self) -> None:

@@ -235,7 +235,7 @@ def _try_out(driver: Driver, loop: ExploreArguments, episode: int) -> None:
         if not driver.model:
             error.add_note(f"raised by agent {driver.agent}")
             raise
-        raise ValueError(f"model {driver.model}: does not fit {loop.world}: {str(error)[:200]}") from None
+        raise ValueError(f"model {driver.model}: does not fit {loop.world}: {str(error)[:300]}") from None
     env.step(action)
 
 

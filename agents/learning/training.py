@@ -109,13 +109,13 @@ def train(
     changes = {name: getattr(training, name) for name in ("timesteps", "eval_every", "envs")}
     hyper = replace(hyper, **{name: value for name, value in changes.items() if value is not None})
     models = [*out.glob(MODEL), *out.glob(f"{CHECKPOINTS}/*.zip")]
-    last = max(models, key=lambda path: policies.read_about(path).timesteps, default=None)
-    if last is not None and not training.resume:
+    if models and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if training.resume and associator is not None:
         raise ValueError("--clone begins a training, --resume goes on with one: give one of them")
-    if last is None and training.resume:
+    if not models and training.resume:
         raise ValueError(f"{out} holds no training to resume")
+    last = max(models, key=lambda path: policies.read_about(path).timesteps, default=None)
     torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower
     threadpool_limits(1)
     if (fewest := min(hyper.envs, training.eval_episodes)) < len(worlds):

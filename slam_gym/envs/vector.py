@@ -309,7 +309,7 @@ class _Worlds:
             with _numbered_errors(world):
                 value = env.get_wrapper_attr(name)
                 values.append(value(*arguments, **named) if callable(value) else value)
-            if name == "restore":
+            if name == "restore":  # the row shows the world as it is now
                 self._write_row(world, *values[-1], 0.0, env.unwrapped.over, False)
         return values
 
