@@ -104,15 +104,14 @@ def evaluate(
     from agents.evaluation.tables import print_table
 
     try:
-        results = carry_out(evaluation, out, execution.jobs, execution.resume)
+        carry_out(evaluation, out, execution.jobs, execution.resume)
         if films:
             list(track(run_all(films, execution.jobs), "films", total=len(films)))
     except KeyboardInterrupt:
         print(f"interrupted; go on with the same command and --resume --output {out}")
         raise
-    from agents.reports.pages import page_of, write_report  # matplotlib takes a second to import
+    from agents.reports.pages import write_report  # matplotlib takes a second to import
 
-    report = write_report(out, partial(track, description="report"))
-    for table in page_of(results, out).tables:
+    for table in write_report(out, partial(track, description="report")).tables:
         print_table(table, Console())
-    print(f"report: {report}")
+    print(f"report: {out / 'report.html'}")

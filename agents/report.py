@@ -12,7 +12,8 @@ def main(folder: Annotated[Path, Argument(metavar="DIR", help="The folder of an 
     """Make the report of an evaluation again."""
     from agents.reports.pages import write_report
 
-    print(write_report(folder))
+    write_report(folder)
+    print(folder / "report.html")
 
 
 app = command("report", main, "results/office-20260101-120000")

@@ -342,24 +342,18 @@ PAGES = {"drivers": drives_page, "associators": drives_page, "suite": suite_page
 # -- one page of HTML --------------------------------------------------------------------------------------------------
 
 
-def page_of(results: Results, folder: Path) -> Page:
-    """The page of an evaluation. Raises ValueError for a kind with a page of its own, and for damaged results."""
+def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]] = iter) -> Page:
+    """Write report.html to the folder of an evaluation, from the files there, and return its page.
+
+    Parts are drawn as they come out of `track`, which may show progress. Raises ValueError where the folder contains no
+    evaluation, no finished episode, damaged results, or a kind of evaluation with a page of its own.
+    """
+    results = read_results(folder)
     kind = results.metadata["kind"]
     if kind not in PAGES:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
     with undamaged(f"results.csv or results.json of {folder}"):
-        return PAGES[kind](results, folder)
-
-
-def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]] = iter) -> Path:
-    """Write report.html to the folder of an evaluation, from the files there, and return its path.
-
-    Parts are drawn as they come out of `track`, which may show progress. Raises ValueError where the folder contains no
-    evaluation, or no finished episode.
-    """
-    results = read_results(folder)
-    page = page_of(results, folder)
-    with undamaged(f"results.csv or results.json of {folder}"):
+        page = PAGES[kind](results, folder)
         text = _TEMPLATES.get_template("report.html").render(
             page=page,
             parts=track([*page.headline, *page.parts]),
@@ -369,7 +363,7 @@ def write_report(folder: Path, track: Callable[[Sequence[Part]], Iterable[Part]]
             colours=figures.colours(results.names),
         )
     write_whole(folder / "report.html", text)
-    return folder / "report.html"
+    return page
 
 
 def data_url(picture: Picture | Path) -> str:

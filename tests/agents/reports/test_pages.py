@@ -44,8 +44,13 @@ def folder(tmp_path):
     return tmp_path
 
 
+def markup_of(folder):
+    write_report(folder)
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_page_is_well_formed_and_says_how_it_was_made(folder):
-    read = Page(write_report(folder).read_text(encoding="utf-8"))
+    read = Page(markup_of(folder))
     assert len(read.pictures) == 3 and read.pictures[-1] == PNG
     for expected in ("<hall>, 11 episodes", "Agent<b>", "--x '<&>'", '"sensor.range": 4.0', "of the test split",
                      '"slam_gym": "0.1.0"', "ticks astray", "Against each other", '"sha256": "abc"'):  # fmt: skip
@@ -54,7 +59,7 @@ def test_a_page_is_well_formed_and_says_how_it_was_made(folder):
 
 
 def test_signed_differences_lead_and_the_best_of_a_column_is_bold(folder):
-    markup = write_report(folder).read_text(encoding="utf-8")
+    markup = markup_of(folder)
     bold = re.findall(r'<td class="best">(.*?)</td>', markup)
     assert bold[:2] == [f"{sign}0.400<small>[{sign}0.400, {sign}0.400]&nbsp;</small>" for sign in "+−"]
     assert re.fullmatch(r"0\.250<small>\[0\.2\d\d, 0\.2\d\d\]&nbsp;</small>", bold[2]) and len(bold) == 3
@@ -62,7 +67,7 @@ def test_signed_differences_lead_and_the_best_of_a_column_is_bold(folder):
 
 def test_an_unfinished_evaluation_says_so(folder):
     (folder / "results.json").write_text(json.dumps(METADATA | {"complete": False}))
-    assert "unfinished" in Page(write_report(folder).read_text(encoding="utf-8")).text
+    assert "unfinished" in Page(markup_of(folder)).text
 
 
 @pytest.mark.parametrize(
