@@ -13,9 +13,9 @@ import pandas as pd
 from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
-from agents.evaluation.tables import FEWEST
+from agents.evaluation.tables import cell, estimate
 from slam_gym import Landmarks, Locality, Scan
-from slam_gym.metrics.statistics import bootstrap_interval, mean
+from slam_gym.metrics.statistics import mean
 from slam_gym.recordings import DATA, Recording, open_recordings
 from slam_gym.types import Array, Relocation, Relocator
 
@@ -107,13 +107,10 @@ def count_answers(attempts: pd.DataFrame, required: int | None) -> Record:
     return {"asked": "the rule" if required is None else f"≥ {required}", **counts, "wrong of outside": share}
 
 
-def mean_interval(values: Array, rng: np.random.Generator, sign: str = "") -> str:
-    """The mean of values (n,) as text; from ten on with its 95 % bootstrap interval: that of fewer is too narrow.
-    `sign` is "+" for differences."""
-    if len(values) < FEWEST:
-        return f"{values.mean():{sign}.3f}"
-    found = bootstrap_interval(values, rng, statistic=mean)
-    return f"{found.estimate:{sign}.3f} [{found.low:{sign}.3f}, {found.high:{sign}.3f}]"
+def mean_interval(values: Any, signed: bool = False) -> str:
+    """The mean of values (n,) as text, with the interval that `estimate` has for them; `signed` for differences."""
+    middle, interval = cell(estimate(values, statistic=mean), 3, signed)
+    return f"{middle} [{interval}]" if interval else middle
 
 
 def proportion(count: int, total: int) -> str:

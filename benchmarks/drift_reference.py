@@ -97,9 +97,8 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     gaps = (new - old)[measures].assign(equal=equal).reset_index()
 
     def summary(group: pd.DataFrame) -> pd.Series:
-        known = [group[name].dropna().to_numpy(float) for name in measures]  # without drives without a batch solution
-        means = [mean_interval(values, np.random.default_rng(0), "+") for values in known]
-        return pd.Series({"worlds": len(group)} | dict(zip(measures, means)) | {"equal": group["equal"].sum()})
+        means = {name: mean_interval(group[name], signed=True) for name in measures}
+        return pd.Series({"worlds": len(group), **means, "equal": group["equal"].sum()})
 
     groups = pd.concat([gaps, gaps.assign(scenario="all")]).groupby(["associator", "scenario"], sort=False)
     return groups.apply(summary).reset_index()

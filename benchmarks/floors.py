@@ -20,7 +20,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from agents.demo import mapped, one_drive
@@ -65,7 +64,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Means with 95 % bootstrap intervals over the drives of each associator, and how many are sound."""
     found = []
     for associator, drives in rows.groupby("associator", sort=False):
-        means = {name: mean_interval(drives[name].dropna().to_numpy(), np.random.default_rng(0)) for name in SUMMARY}
+        means = {name: mean_interval(drives[name]) for name in SUMMARY}
         found.append({"associator": associator, "sound": sound(drives), **means})
     return pd.DataFrame(found)
 

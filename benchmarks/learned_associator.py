@@ -111,15 +111,14 @@ def trained(variant: Variant, seed: int, timesteps: int, out: Path) -> Path:
     return path
 
 
-def compared(drives: pd.DataFrame, rng: np.random.Generator) -> Iterator[Record]:
+def compared(drives: pd.DataFrame) -> Iterator[Record]:
     """Of each variant and scenario the means, and the paired difference of the map error to the first variant."""
     for scenario, group in drives.groupby("setting", sort=False):
         first = None
         for variant, rows in group.groupby("variant", sort=False):
             errors = rows.groupby("episode")["map_error"].mean()
             first = errors if first is None else first
-            gap = mean_interval((errors - first).to_numpy(), rng, "+")
-            difference = "" if first is errors else gap
+            difference = "" if first is errors else mean_interval(errors - first, signed=True)
             means = rows[["map_error", "precision", "recall", "duplicates"]].mean()
             yield {"scenario": scenario, "variant": variant, **means, "difference [95 %]": difference}
 
@@ -139,4 +138,4 @@ if __name__ == "__main__":
         drives = out / "drives"
         frame = carry_out(evaluation, drives, resume=drives.exists()).frame
     frame = frame.assign(variant=frame["name"].map(variants))
-    table("Drives of train worlds", list(compared(frame, np.random.default_rng(a.seed))))
+    table("Drives of train worlds", list(compared(frame)))
