@@ -72,10 +72,7 @@ class Episodes:
     """The numbers of the episodes."""
 
     episodes: Annotated[
-        int | None,
-        Option(
-            min=1, metavar="N", help="By default 4; evaluate-association 30, record-decisions 10.", show_default=False
-        ),
+        int | None, Option(min=1, metavar="N", help="By default 4; evaluate-association 30, record-decisions 10.")
     ] = None
     seed: Annotated[int, Option(min=0, metavar="K", help="First episode; episode k is world k with seed k.")] = 0
 
