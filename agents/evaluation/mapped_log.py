@@ -116,9 +116,8 @@ def map_log(
     informed = associator == CEILING
     if informed:
         spec, relocation = replace(spec, map=replace(spec.map, confirmations=1)), None
-    slam = Slam(spec)
-    if relocation is not None:
-        slam = Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
+    search = None if relocation is None else relocate_by(relocation)
+    slam = Slam(spec, relocate=search, atlas=search and AtlasSpec())
     start = start_of(log) if in_world else None
     if start is not None:
         slam.map.place(start, np.zeros((3, 3)))
