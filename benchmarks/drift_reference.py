@@ -89,6 +89,11 @@ def sound(rows: pd.DataFrame) -> str:
     return f"{good.sum()} of {len(rows)}"
 
 
+def _mean(values: pd.Series) -> float:
+    """NaN where a drive has no batch solution: its other numbers are those of all drives."""
+    return float(values.mean(skipna=False))
+
+
 def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     """Mean paired differences NEW − OLD with their intervals, by scenario and associator, and over all scenarios."""
     new, old = new.set_index(KEYS).align(old.set_index(KEYS), join="inner")
@@ -100,7 +105,9 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
         means = {name: mean_interval(group[name], signed=True) for name in measures}
         return pd.Series({"worlds": len(group), **means, "equal": group["equal"].sum()})
 
-    groups = pd.concat([gaps, gaps.assign(scenario="all")]).groupby(["associator", "scenario"], sort=False)
+    worlds = gaps.groupby(["associator", "world"], sort=False)  # world k may be the same building in several scenarios
+    over_all = worlds[measures].agg(_mean).assign(equal=worlds["equal"].sum(), scenario="all").reset_index()
+    groups = pd.concat([gaps, over_all]).groupby(["associator", "scenario"], sort=False)
     return groups.apply(summary).reset_index()
 
 
@@ -112,7 +119,7 @@ if __name__ == "__main__":
         raise SystemExit
     results = drive_all([*product(a.scenarios, a.associators, range(a.worlds))], Path(a.out), a.jobs)
     groups = results.groupby(KEYS[:2], sort=False)
-    means = groups[MEASURES].mean().round(3).join(groups.apply(sound).rename("sound"))
+    means = groups[MEASURES].agg(_mean).round(3).join(groups.apply(sound).rename("sound"))
     table("Means over the worlds", means.reset_index())
     if a.compare:
         table(f"{a.out} − {a.compare}", differences(results, pd.read_csv(a.compare)))

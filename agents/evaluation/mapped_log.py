@@ -245,7 +245,7 @@ def _landmarks(mapped: MappedLog) -> Record:
     return {
         "landmark_rmse": landmark_rmse(estimated, true, aligned=True),
         "landmark_rmse_unaligned": landmark_rmse(estimated, true) if mapped.in_world else math.nan,
-        "landmarks_compared": len(both),
+        "landmarks_compared": len(both) if len(places) else math.nan,
     }
 
 

@@ -90,6 +90,7 @@ def carry_out(evaluation: Evaluation, out: Path, jobs: int | None = None, resume
     """
     before = _to_resume(out, evaluation, resume)
     commands, rows = (before.metadata["commands"], before.frame.to_dict("records")) if before else ([], [])
+    known = before.metadata.get("models", {}) if before else {}  # the rows of earlier commands are theirs
     commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
     order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
     done, start = set(map(_key, rows)), time.perf_counter()
@@ -97,7 +98,8 @@ def carry_out(evaluation: Evaluation, out: Path, jobs: int | None = None, resume
 
     def write_metadata() -> None:
         head = {"kind": evaluation.kind, "commands": commands, "complete": done >= order.keys()}
-        more = {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()}
+        models = {"models": known | evaluation.about.get("models", {})}
+        more = {"conditions": evaluation.conditions, **evaluation.about, **models, "versions": versions()}
         write_whole(out / METADATA, json.dumps(plain(head | more), indent=1, ensure_ascii=False) + "\n")
 
     out.mkdir(parents=True, exist_ok=True)

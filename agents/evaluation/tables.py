@@ -12,12 +12,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
+from scipy.stats import binomtest
 
 from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval, interquartile_mean, mean
 from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Array
 
 Value = Interval | float | int
-FEWEST = 10  # least number of episodes for an interval
+FEWEST = 10  # least number of worlds for an interval
 INTERVALS = ", 95 % bootstrap interval"
 Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
@@ -62,7 +64,8 @@ _ALL = (
     Column("clutter_on_landmarks", "onto landmarks", 0, "lower"), Column("ate", "ATE", 2, "lower"),
     Column("ate_batch", "ATE batch", 2, "lower"), Column("landmark_rmse_batch", "lm. batch", 2, "lower"),
     Column("ate_unaligned", "ATE₀", 2, "lower"), Column("ate_median", "median error", 2, "lower"),
-    Column("landmark_rmse", "lm.", 2, "lower"), Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
+    Column("landmark_rmse", "lm.", 2, "lower"), Column("landmarks_compared", "of lm.", 0),
+    Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
     Column("seconds", "s", 1, "lower"), Column("step_microseconds", "µs/step", 0, "lower"),
 )  # fmt: skip
 
@@ -106,36 +109,52 @@ class Table:
 # -- estimates -----------------------------------------------------------------------------------------------------
 
 
-def estimate(
-    values: Any, strata: Any = None, *, statistic: Statistic = interquartile_mean, resamples: int = 5000
-) -> Interval:
-    """The statistic of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
+def share(values: Array) -> Array:
+    """The mean of a rare event, of which an interquartile mean would leave out a quarter."""
+    return mean(values)
+
+
+def estimate(values: Any, *, statistic: Statistic = interquartile_mean, resamples: int = 5000) -> Interval:
+    """The statistic of values (n,) and its 95 % bootstrap interval; of a `share`, the exact one.
 
     Values that are not finite are left out; all three are NaN if none is left. The same values always give the same
-    interval. It is NaN for fewer than `FEWEST` values, and where no stratum has more than one value.
+    interval. It is NaN for fewer than `FEWEST` values.
     """
     values = np.asarray(values, np.float64)
-    groups = np.zeros(len(values), np.int64) if strata is None else np.asarray(strata)
-    finite = np.isfinite(values)
-    values, groups = values[finite], groups[finite]
-    if not len(values):
-        return Interval(math.nan, math.nan, math.nan)
-    if len(values) < FEWEST or len(values) == len(np.unique(groups)):
-        return Interval(float(statistic(values)), math.nan, math.nan)
-    rng = np.random.default_rng(0)
-    return bootstrap_interval(values, rng, strata=groups, resamples=resamples, statistic=statistic)
+    values = values[np.isfinite(values)]
+    if len(values) < FEWEST:
+        return Interval(float(statistic(values)) if len(values) else math.nan, math.nan, math.nan)
+    if (
+        statistic is share and np.isin(values, (0.0, 1.0)).all()
+    ):  # Clopper–Pearson: a bootstrap of no event has no width
+        exact = binomtest(int(values.sum()), len(values)).proportion_ci()
+        return Interval(float(values.mean()), exact.low, exact.high)
+    return bootstrap_interval(values, np.random.default_rng(0), statistic=statistic, resamples=resamples)
 
 
-def estimate_of(frame: pd.DataFrame, key: str, statistic: Statistic = interquartile_mean) -> Interval:
-    """The estimate of a number over episodes (means over models, which share the worlds). Settings are strata, since
-    their differences are not noise."""
-    means = frame.groupby(["setting", "episode"], sort=False)[key].mean()
-    return estimate(means, means.index.get_level_values("setting"), statistic=statistic)
+def estimate_of(
+    frame: pd.DataFrame, key: Any, statistic: Statistic = interquartile_mean, resamples: int = 5000
+) -> Interval:
+    """The estimate of a number over worlds."""
+    return estimate(_over_settings(_over_models(frame, key)), statistic=statistic, resamples=resamples)
+
+
+def _over_models(frame: pd.DataFrame, key: Any) -> pd.Series:
+    """A number by setting and episode, the mean over models of one name, which share the worlds."""
+    return frame.groupby(["setting", "episode"])[key].mean()
+
+
+def _over_settings(numbers: pd.Series) -> pd.Series:
+    """The means over settings of each world, NaN for a world that lacks the number in one of them.
+
+    World k may be the same building in several settings, so that these are not independent.
+    """
+    return numbers.unstack("setting").mean(axis=1, skipna=False)
 
 
 def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value]:
     """Column key → estimate over the episodes of `frame`."""
-    return {c.key: estimate_of(frame, c.key, mean if c.rare else interquartile_mean) for c in columns}
+    return {c.key: estimate_of(frame, c.key, share if c.rare else interquartile_mean) for c in columns}
 
 
 def grouped(frame: pd.DataFrame, by: str) -> dict[str, pd.DataFrame]:
@@ -146,10 +165,9 @@ def grouped(frame: pd.DataFrame, by: str) -> dict[str, pd.DataFrame]:
 def difference(
     first: pd.DataFrame, second: pd.DataFrame, key: str, statistic: Statistic = interquartile_mean
 ) -> Interval:
-    """The paired difference first − second over common episodes (means over models), with its interval."""
-    means = [frame.groupby(["setting", "episode"])[key].mean() for frame in (first, second)]
-    paired = (means[0] - means[1]).dropna()
-    return estimate(paired, paired.index.get_level_values("setting"), statistic=statistic)
+    """The paired difference first − second over common worlds, with its interval."""
+    paired = (_over_models(first, key) - _over_models(second, key)).dropna()
+    return estimate(_over_settings(paired), statistic=statistic)
 
 
 def best_names(values: Mapping[str, Interval], column: Column) -> set[str]:

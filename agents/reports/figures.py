@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from agents.evaluation.tables import Column, display_name, estimate, estimate_of
+from agents.evaluation.tables import Column, display_name, estimate_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.rendering.plot import plot_episode
 from slam_gym.simulation.episode import Episode
@@ -89,12 +89,13 @@ def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Fig
     axes = figure.subplots(1, len(shown))
     end = max(own["ticks"].max() for own in groups.values())
     grid = np.linspace(0.0, end, CURVE_POINTS)
-    curves = {name: [json.loads(cell) for cell in own["curve"]] for name, own in groups.items()}
     for axis, column in zip(axes, shown):
-        for name, own in curves.items():
+        for name, own in groups.items():
+            curves = [json.loads(cell) for cell in own["curve"]]
             # after the end of an episode, its curve stays constant
-            at_grid = np.array([np.interp(grid, curve["ticks"], curve[column.key]) for curve in own])
-            _line(axis, grid, [estimate(values, resamples=1000) for values in at_grid.T], name, colour[name])
+            at_grid = pd.DataFrame([np.interp(grid, curve["ticks"], curve[column.key]) for curve in curves], own.index)
+            frame = own[["setting", "episode"]].join(at_grid)
+            _line(axis, grid, [estimate_of(frame, k, resamples=1000) for k in at_grid], name, colour[name])
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6))

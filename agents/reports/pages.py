@@ -39,6 +39,7 @@ from agents.evaluation.tables import (
     estimate_of,
     estimates,
     grouped,
+    share,
 )
 from agents.reports import figures
 from agents.reports.film import BESIDE, film_path
@@ -147,7 +148,9 @@ def drive_tables(results: Results) -> list[Table]:
     kind, tables = results.metadata["kind"], []
     for setting, frame in grouped(results.frame, "setting").items():
         shown = COLUMNS[kind] + (RELOCATION_COLUMNS if frame["kidnapped"].any() else [])
-        title = f"{setting}, {counted(frame['episode'].nunique(), 'episode')}"
+        counts = frame.groupby("name")["episode"].nunique()
+        most = counted(counts.max(), "episode")
+        title = f"{setting}, " + (most if counts.nunique() == 1 else f"{counts.min()} to {most}")
         title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
         rows = {name: estimates(episodes, shown) for name, episodes in grouped(frame, "name").items()}
         caption = f"interquartile mean{INTERVALS}"
@@ -172,7 +175,7 @@ def headline(frame: pd.DataFrame) -> list[Table]:
     for name, own in groups.items():
         parts = grouped(own, "setting") | {MEAN: own}
         errors[name] = {setting: estimate_of(some, error.key, mean) for setting, some in parts.items()}
-        errors[name] |= {column.key: estimate_of(own, column.key, mean) for column in (raw, lost)}
+        errors[name] |= {raw.key: estimate_of(own, raw.key, mean), lost.key: estimate_of(own, lost.key, share)}
         associator, join, relocation = name.partition(JOIN)
         truth = f"{CEILING}{join}{relocation}"
         if associator != CEILING and truth in groups:
@@ -269,7 +272,7 @@ def _estimates(worlds: pd.DataFrame) -> dict[str, Interval]:
 
 LOG_COLUMNS = columns(
     "precision", "recall", "f1", "features", "duplicates", "clutter_features", "ate", "ate_batch", "landmark_rmse",
-    "landmark_rmse_batch", "anees", "seconds",
+    "landmarks_compared", "landmark_rmse_batch", "anees", "seconds",
 )  # fmt: skip
 FURTHER_LOG_COLUMNS = columns(
     "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
@@ -278,6 +281,7 @@ FURTHER_LOG_COLUMNS = columns(
 LOG_NOTES = {
     "ate": "ATE, lm.: RMSE of positions, of landmarks [m], aligned.",
     "ate_batch": "batch: by batch least squares with the same pairings, the maximum-likelihood estimate for them.",
+    "landmarks_compared": "of lm.: landmarks of the reference that are in the map, and so in lm.",
     "features": "feat.: confirmed features.",
     "duplicates": "dupl.: further features of a landmark; clut.: of no landmark.",
     "seconds": "s: time of the whole log.",
@@ -313,9 +317,10 @@ def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
 
 
 def log_means(frame: pd.DataFrame) -> pd.DataFrame:
-    """The means of each associator that was run over all logs, in the order of the frame."""
+    """The means of each associator that was run over all logs, in their order; NaN where a log has none."""
     groups = frame.groupby("name", sort=False)
-    table = groups[[column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]].mean()
+    shown = [column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]
+    table = groups[shown].agg(lambda values: values.mean(skipna=False))
     return table[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.types import Array, IntArray
+from slam_gym.types import Array
 
 Statistic = Callable[[Array], Array]
 """A function from values (…, n) to one number per row (…,)."""
@@ -23,12 +23,12 @@ class Interval:
 def interquartile_mean(values: Array) -> Array:
     """(…,) mean of values (…, n) without the lowest and the highest ⌊n/4⌋ of each row.
 
-    Raises ValueError for n = 0.
+    Raises ValueError for n = 0, and for NaN.
     """
     values = np.asarray(values, np.float64)
     n = values.shape[-1]
-    if n == 0:
-        raise ValueError("the interquartile mean of no values")
+    if n == 0 or np.isnan(values).any():
+        raise ValueError(f"the interquartile mean of {'NaN' if n else 'no values'}")
     cut = n // 4
     return np.asarray(np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1))
 
@@ -43,18 +43,15 @@ def bootstrap_interval(
     rng: np.random.Generator,
     *,
     statistic: Statistic = interquartile_mean,
-    strata: IntArray | None = None,
     resamples: int = 5000,
 ) -> Interval:
-    """The 95 % percentile bootstrap interval of a statistic of values (n,).
+    """The 95 % percentile bootstrap interval of a statistic of independent values (n,).
 
-    `strata` (n,) names the group (a scenario, a training seed) of each value; every resample draws from each group as
-    many values as the group has. Raises ValueError without values, or for values that are not finite.
+    Raises ValueError without values, or for values that are not finite.
     """
     values = np.asarray(values, np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise ValueError(f"a bootstrap interval needs finite values (n,), n >= 1, got shape {values.shape}")
-    groups = [values] if strata is None else [values[np.asarray(strata) == label] for label in np.unique(strata)]
-    drawn = [group[rng.integers(0, len(group), (resamples, len(group)))] for group in groups]
-    low, high = np.quantile(statistic(np.concatenate(drawn, axis=1)), [0.025, 0.975])
+    drawn = values[rng.integers(0, len(values), (resamples, len(values)))]
+    low, high = np.quantile(statistic(drawn), [0.025, 0.975])
     return Interval(float(statistic(values)), float(low), float(high))

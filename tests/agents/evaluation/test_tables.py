@@ -15,11 +15,13 @@ from agents.evaluation.tables import (
     columns,
     difference,
     estimate,
+    estimate_of,
     estimates,
     grouped,
     print_table,
+    share,
 )
-from slam_gym.metrics.statistics import Interval
+from slam_gym.metrics.statistics import Interval, mean
 
 HIGHER, LOWER = Column("score", "score", 3, "higher"), Column("error", "error", 3, "lower")
 
@@ -46,7 +48,7 @@ def test_of_events_the_mean_is_taken_since_an_interquartile_mean_hides_a_quarter
 def test_differences_are_paired_over_episodes_and_settings():
     frame = pd.DataFrame([
         {"name": name, "setting": setting, "episode": k, "f1": base + 0.1 * k + (0.05 if name == "a" else 0.0)}
-        for name in ("a", "b") for setting, base in (("x", 0.0), ("y", 0.5)) for k in range(5)
+        for name in ("a", "b") for setting, base in (("x", 0.0), ("y", 0.5)) for k in range(10)
     ])  # fmt: skip
     found = grouped(frame, "name")
     gap = difference(found["a"], found["b"], "f1")
@@ -55,12 +57,23 @@ def test_differences_are_paired_over_episodes_and_settings():
     assert math.isnan(difference(found["a"], frame[:0], "f1").estimate)
 
 
+def test_worlds_that_settings_share_count_once():
+    rng, covered = np.random.default_rng(0), 0
+    for _ in range(200):
+        worlds, own = rng.normal(0.3, 0.1, 30), rng.normal(0.0, 0.1, (5, 30))
+        rows = [{"setting": s, "episode": k, "f1": worlds[k] + own[s, k]} for s in range(5) for k in range(30)]
+        found = estimate_of(pd.DataFrame(rows), "f1", mean, resamples=400)
+        covered += found.low <= 0.3 <= found.high
+    assert 0.87 < covered / 200 < 0.99  # 0.75 if resampled in each setting
+    assert estimate([0.0] * 12, statistic=share).high == pytest.approx(1.0 - 0.025 ** (1.0 / 12.0))  # exact
+
+
 def test_a_few_values_have_no_interval_and_are_told_from_nothing() -> None:
     alone, apart = estimate([0.7]), estimate([0.1, 0.5] * 4 + [0.3])
     assert (alone.estimate, apart.estimate) == pytest.approx((0.7, 0.3)) and cell(alone, 3) == ("0.700", "")
     assert np.isnan([alone.low, alone.high, apart.low, apart.high]).all()
     assert best_names({"a": alone, "b": apart}, LOWER) == set()
-    assert np.isfinite(estimate([0.2, 0.4] * 5).low) and np.isnan(estimate(np.arange(12), np.arange(12)).low)
+    assert np.isfinite(estimate([0.2, 0.4] * 5).low)
     few, many = (Table("Few", "name", [LOWER], {"a": {"error": value}}) for value in (alone, estimate([0.2, 0.4] * 5)))
     assert few.note == "interquartile mean" and many.note == "interquartile mean, 95 % bootstrap interval"
 

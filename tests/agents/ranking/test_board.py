@@ -82,6 +82,15 @@ def test_small_differences_on_the_same_worlds_are_told_apart_and_noise_is_not():
     assert found[0].loss.estimate == pytest.approx(np.mean(list(found[0].columns.values())), abs=1e-9)
 
 
+def test_an_interval_covers_the_loss_as_often_as_it_says_where_columns_share_their_worlds():
+    rng, keys, covered = np.random.default_rng(0), an_entry("a", 0.0).losses.index, 0
+    for _ in range(200):
+        of_world = rng.normal(0.0, 0.1, 8)[keys.get_level_values(2) - FIRST]
+        (row,) = rows([an_entry("a", 0.0)._replace(losses=pd.Series(rng.normal(0.5, 0.1, len(keys)) + of_world, keys))])
+        covered += row.loss.low <= 0.5 <= row.loss.high
+    assert 0.9 <= covered / 200 < 0.99
+
+
 def test_the_ceiling_takes_nobodys_place_and_nobody_is_behind_it():
     found = rows([an_entry("true_association", -0.1), an_entry("jcbb", 0.0)])
     assert [(row.place, row.name) for row in found] == [(0, "true_association"), (1, "jcbb")]
