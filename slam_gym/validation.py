@@ -58,6 +58,7 @@ LIMITS: dict[str, dict[str, Limits]] = {
         "reach": (1e-3, 1e9), "new_confidence": _CONFIDENCE, "recent": _COUNT, "lost_fraction": _SHARE,
         "lost_scans": _COUNT, "min_expected": _COUNT, "max_chance_probability": _SHARE,
         "max_accidental_matches": (1e-9, math.inf), "outlier_factor": (1.0, 1e6),
+        "error_length": (0.0, 1e3),
     },
     "RecognitionSpec": {
         "node_limit": (1, 10**9), "every": (1, 10**9), "group": (3, 1000), "recent": (1, 10**9),
@@ -88,6 +89,8 @@ class Checked:
             if isinstance(value, bool) or not isinstance(value, number) or not least <= value <= greatest:
                 what = f"a {'whole ' * is_whole}number from {least:g} to {greatest:g}"
                 raise ValueError(f"{kind}.{name}={value}: expected {what} (slam_gym.validation.LIMITS)")
+            if isinstance(value, np.generic):  # for each of its types, loops would be compiled again
+                object.__setattr__(self, name, value.item())
         for name in (name for name, kinds in types.items() if bool in kinds):
             if not isinstance(value := getattr(self, name), (bool, np.bool_)):
                 raise ValueError(f"{kind}.{name}={value!r}: expected True or False")
@@ -152,7 +155,7 @@ def check_inputs(odometry: Odometry, scan: Scan) -> None:
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the first faulty measurement of a scan and its fault."""
-    check_measurements(scan.points, scan.covariances)
+    check_measurements(*scan.arrays[:2])
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:

@@ -91,8 +91,8 @@ def gate_pairings(
             j = offered[o]
             x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
             xx, yy = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
-            # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
-            if x * x >= gate * xx or y * y >= gate * yy:
+            # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings; exact ones go on to the error below
+            if x * x > gate * xx or y * y > gate * yy:
                 continue
             xy = covariances[j, 0, 1] + noise[i, 0, 1]
             determinant = xx * yy - xy * xy
@@ -161,7 +161,7 @@ def _offered(
         if len(eligible) > 0 and not eligible[j]:
             continue
         x, y = max(left - px, px - right, 0.0), max(bottom - py, py - top, 0.0)
-        if x * x < gate * (xx + most_x) and y * y < gate * (yy + most_y):
+        if x * x <= gate * (xx + most_x) and y * y <= gate * (yy + most_y):
             offered[count] = j
             count += 1
     return offered[:count]

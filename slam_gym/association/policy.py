@@ -29,8 +29,8 @@ def from_policy(
 def relocator_from_policy(policy: Policy, *, measurements: int = 20, **settings: Any) -> Relocator:
     """The relocator that walks the tree by `policy`, with the settings of `WalkSpec`. It pickles if the policy does.
 
-    `measurements` rows of a scan are shown. Raises ValueError for settings that are none; the relocator raises it for
-    bad scans and maps, and for an action that is not legal.
+    `measurements` rows of a scan are shown. Raises TypeError for an unknown setting, and ValueError for a bad one; the
+    relocator raises it for bad scans and maps, and for an action that is not legal.
     """
     check_count("measurements", measurements)
     return functools.partial(_relocate, policy=policy, spec=WalkSpec(**settings), shown=measurements)

@@ -261,6 +261,7 @@ class StartRule(Enum):
 class SlamStep:
     """What one SLAM step decided, in terms that remain valid after later steps.
 
+    Its prediction refers to the covariance of the whole map, which a pickle or a copy of a step contains.
     A map feature has an index 0..n−1, which shifts when features are removed, and an id, which never changes and is
     never reused.
     """
@@ -309,7 +310,7 @@ def predict(
     Raises ValueError where the odometry is not finite or its covariance is not positive semi-definite, and as
     `check_scan`.
     """
-    motion = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
+    motion = (_STILL, _CERTAIN) if odometry is None else odometry.arrays
     measured = _NOT_MEASURED if scan is None else scan.arrays[:2]
     counts = _ALL_LOCAL if graph is None else graph.counts
     spec, rows, pose, rule = m.spec, rows_for(m.n), np.empty(4), (float(reach), m.spec.second_order, *accidental)

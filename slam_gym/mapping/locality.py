@@ -81,6 +81,14 @@ def same_local_map(map_of: ArrayLike) -> Locality:
     return _locality_of(member @ member.T)
 
 
+def restricted(locality: Locality | None, features: IntArray) -> Locality | None:
+    """The locality among some `features` (k,), ascending, which it numbers 0 … k−1."""
+    if locality is None:
+        return None
+    entries = np.ones(len(locality.members), np.bool_), locality.members, locality.starts
+    return _locality_of(csr_array(entries, shape=(len(locality), len(locality)))[features][:, features])
+
+
 def locality_sizes(locality: Locality | None, n: int) -> IntArray:
     """(n,) size |L(j)| of the locality of each feature, itself included; c of eq. 9.22 is their maximum.
 

@@ -209,8 +209,8 @@ class StochasticMap:
 
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u, and its covariance. Raises ValueError where the odometry or its covariance is invalid."""
+        ekf.predict(self._x, self._P, self._d, *odometry.arrays)
         self.moved()
-        ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance)
 
     def landmarks(self, features: IntArray | None = None) -> Landmarks:
         """A copy of `features` (k,), by default of all, with full covariance (2k, 2k), for searches without a prior on
@@ -328,7 +328,7 @@ class StochasticMap:
         if state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest
             raise ValueError(f"{path}: a map of {self.n} features is too large for a file")
         with replacing(Path(path)) as file:
-            np.savez_compressed(file, spec=json.dumps(asdict(self.spec), default=lambda number: number.item()), **parts)
+            np.savez_compressed(file, spec=json.dumps(asdict(self.spec)), **parts)
 
     @classmethod
     def load(cls, path: str | Path) -> StochasticMap:

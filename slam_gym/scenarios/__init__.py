@@ -196,8 +196,9 @@ VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.
 """A trunk must be seen in five of twenty scans. With two sightings, the map of the first half has 118 more features, of
 which 23 are labelled trees; the trajectory is the same."""
 
-MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-12)
-"""Unconfirmed features are kept, and the gate is wide: a robot may see a barcode again only after minutes of drift."""
+MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-12, error_length=0.2)
+"""Unconfirmed features are kept, and the gate is wide: a robot may see a barcode again only after minutes of drift. It
+moves by 2 cm from scan to scan, and a range keeps its error until the robot has moved by decimetres."""
 
 SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 """Settings by the first part of a recording's name."""

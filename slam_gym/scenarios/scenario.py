@@ -54,7 +54,7 @@ class Scenario(Checked):
     associator: str = "jcbb"  # default associator
     prior_sigma: float = 0.5  # [m] σ₀: the error of a feature that has not been mapped
     grid_resolution: float = 0.2  # [m] side of a cell of the explored grid
-    wall_compass: bool = False  # whether straight walls in view correct odometry
+    wall_compass: bool = False  # whether straight walls in view correct odometry; overconfident below some 90 beams
     kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:

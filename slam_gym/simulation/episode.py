@@ -129,7 +129,8 @@ class Episode:
     def begin_tick(self, forward: float, turn: float) -> Prediction:
         """The first half of a tick: drive, take a scan, and predict it."""
         motion = self.world.tick(forward, turn)
-        carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
+        free = self.site.cells, self.scenario.robot.radius, self.world.furniture
+        carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, free, self.rng)
         if carried_to is not None:
             self.world.place(carried_to)
         return self._sense(motion)
@@ -156,7 +157,7 @@ class Episode:
         slam_map, beams = self.slam.map, self.beams
         pose = slam_map.pose
         self._keyframes.enter(pose, self.odometry.motion, beams, self.last_step.ids, slam_map, self.slam.fused)
-        if self.virtual_map is not None:
+        if self.virtual_map is not None and len(self.slam.maps) == 1:  # the pose of a second map in B is not estimated
             _, turn = compose_jacobians(self.base, pose)
             covariance = turn @ slam_map.pose_covariance @ turn.T  # in W
             sigma = self.scenario.sensor.sigma_halfway

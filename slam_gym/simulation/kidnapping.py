@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from slam_gym.geometry import relative
 from slam_gym.scenarios import KidnappingSpec
 from slam_gym.types import Array
+from slam_gym.world.ray_casting import box_distance
 
 POSITION, HEADING = 0.5, math.radians(10.0)  # [m], [rad] greatest error of a right pose
 
@@ -26,10 +27,13 @@ class Kidnapping:
         self.right = self.wrong = 0  # numbers of right and wrong relocations
         self._relocations = 0
 
-    def destination(self, tick: int, been: list[Array], cells: Array, rng: np.random.Generator) -> Array | None:
+    def destination(
+        self, tick: int, been: list[Array], free: tuple[Array, float, Array], rng: np.random.Generator
+    ) -> Array | None:
         """Pose (3,) in W to which the robot is carried in this tick; None if it is not.
 
-        `been` are its true poses (3,) so far, `cells` (c, 2) [m] all places that it can reach.
+        `been` are its true poses (3,) so far. `free` are all places (c, 2) [m] between walls that it can reach, its
+        radius [m] and the furniture (f, 5).
         """
         if self._spec is None or self.happened is not None or tick < self._spec.at * self._budget:
             return None
@@ -39,6 +43,9 @@ class Kidnapping:
             far = np.flatnonzero(distances >= min(self._spec.distance, float(distances.max())))
             place = trail[rng.choice(far)]
         else:  # the place that is farthest from all where the robot has been
+            cells, radius, furniture = free
+            clear = [(x, y) for x, y in cells if box_distance(x, y, furniture) >= radius]
+            cells = np.array(clear or cells)
             place = cells[cKDTree(trail[::10]).query(cells)[0].argmax()]
         return np.append(place, rng.uniform(-math.pi, math.pi))
 

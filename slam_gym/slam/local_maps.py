@@ -126,7 +126,8 @@ class LocalMapSlam:
         return joined_map(self.maps, names) if len(self.maps) > 1 else self.map.copy()
 
     def smoothed(self) -> Smoothed:
-        """As `joined`, but covariances are computed only on request: seconds for thousands of features.
+        """As `joined`, but covariances are computed only on request. The join takes seconds for thousands of features,
+        besides the matching of any two maps that overlap.
 
         The poses are the bases of the maps, then the pose of the robot.
         """
@@ -229,6 +230,8 @@ class _Correspondences:
         pairs = indices("match", np.ravel(self._match(joined, free_a, rows)), joined.n).reshape(-1, 2)
         if not np.isin(pairs[:, 0], free_a).all() or not np.isin(pairs[:, 1], rows).all():
             raise ValueError("match: a pair is not of an older and of a newer row")
+        if any(len(np.unique(side)) < len(side) for side in pairs.T):
+            raise ValueError("match: a row is in two pairs")
         united = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
         if not any(united) and not len(shared_a):
             return None

@@ -1,6 +1,7 @@
 """Relocation. The tracker notices from the pairings of a scan, before the map learns, that the robot may be lost. A
 search without a prior finds it again; its answer must explain the scan."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Literal, get_args
@@ -13,13 +14,25 @@ from slam_gym.association.acceptance import log_expected_pairings, min_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, within
+from slam_gym.mapping.locality import covisible, restricted, within
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Locality, Relocation, Relocator, Scan
+from slam_gym.types import (
+    UNPAIRED,
+    Array,
+    BoolArray,
+    Hypothesis,
+    IntArray,
+    Landmarks,
+    Locality,
+    Relocation,
+    Relocator,
+    Scan,
+)
 
 _CHANCE = 1e-6  # greatest probability of so many accidental pairings in a scan: the searches themselves admit 0.02
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
+_MARGIN = 3  # least number of pairings above those at any other place
 _EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
@@ -239,27 +252,42 @@ def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisi
 
     A lost robot searches scan after scan, and rooms resemble each other, so that an answer must pass more than the
     rule of the search itself: the probability of so many accidental pairings in a scan must be less than 10⁻⁶, and most
-    measurements, and most features that should be in view from the pose found, must be paired.
+    measurements, and most features that should be in view from the pose found, must be paired. Besides, no place
+    without its features may explain the scan with fewer than `_MARGIN` pairings less, unless that were accidental: of
+    two rooms that are alike, one loses a pairing to noise in every other scan.
     Raises ValueError for an unknown search or locality.
     """
-    find = resolve_relocator(search)
-    prunes = find in (gcbb, max_clique, random_sampling)
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
+    return functools.partial(_relocate, resolve_relocator(search), locality)
 
-    def relocate(
-        scan: Scan, m: StochasticMap, graph: CovisibilityGraph, reach: float, view_from: ViewsFrom | None
-    ) -> Relocation | None:
-        landmarks = m.landmarks()
-        local_to = locality_of(graph, m.positions, reach, locality)
-        needed = max(min_pairings(scan, landmarks, probability=_CHANCE), math.ceil(_EXPLAINED * len(scan)))
-        bound = {"min_pairings": needed} if prunes else {}  # the search skips hypotheses with fewer
-        found = find(scan, landmarks, local_to, **bound)
-        if not found.accepted or found.pairings < needed:
-            return None
-        return found if view_from is None or _shows(found, m, reach, view_from) else None
 
-    return relocate
+def _relocate(
+    find: Relocator,
+    kind: LocalityName | None,
+    scan: Scan,
+    m: StochasticMap,
+    graph: CovisibilityGraph,
+    reach: float,
+    view_from: ViewsFrom | None,
+) -> Relocation | None:
+    """The relocation of `relocate_by`, or None."""
+    landmarks, locality = m.landmarks(), locality_of(graph, m.positions, reach, kind)
+    needed = max(min_pairings(scan, landmarks, probability=_CHANCE), math.ceil(_EXPLAINED * len(scan)))
+    found = _search(find, scan, landmarks, locality, needed)
+    if not found.accepted or found.pairings < needed or not _shows(found, m, reach, view_from):
+        return None
+    others, least = np.setdiff1d(np.arange(m.n), found.features), max(found.pairings - _MARGIN + 1, needed)
+    if len(others) < least:
+        return found
+    rival = _search(find, scan, m.landmarks(others), restricted(locality, others), least)
+    return found if rival.pairings < least else None
+
+
+def _search(find: Relocator, scan: Scan, landmarks: Landmarks, locality: Locality | None, least: int) -> Relocation:
+    """The answer of a search; those that can skip hypotheses with fewer than `least` pairings."""
+    bound = {"min_pairings": least} if find in (gcbb, max_clique, random_sampling) else {}
+    return find(scan, landmarks, locality, **bound)
 
 
 def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: LocalityName | None) -> Locality | None:
@@ -271,8 +299,10 @@ def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: 
     return covisible(graph, hops=2 if kind == "two-hop covisibility" else 1)
 
 
-def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFrom) -> bool:
-    """Whether most of the established features that should be in view from the pose found are paired."""
+def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFrom | None) -> bool:
+    """Whether most of the established features that should be in view from the pose found, if known, are paired."""
+    if view_from is None:
+        return True
     relocated = m.copy()
     relocated.place(found.pose, found.covariance)
     prediction = predict(relocated, reach, sight=view_from)

@@ -12,6 +12,7 @@ from slam_gym.association import marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.geometry import compose_jacobians, inverse, observe
+from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -27,6 +28,7 @@ from slam_gym.validation import Checked, check_hypothesis, check_inputs, check_s
 
 _NO_FEATURES = np.empty(0, np.int64)
 _SLIP = 1000.0  # factor on the covariance of a motion in which the wheels have slipped, where the view is unknown
+_AT_REST = 0.01  # fraction of their information that pairings keep where the robot does not move
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 """A robot that does not move, for certain."""
 
@@ -51,6 +53,8 @@ class SlamSpec(Checked):
     # all pairings with old features are rejected; 1: never
     trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from `max_accidental_matches`, and
     # say which measurements are new; both rules need an atlas
+    error_length: float = 0.0  # [m] by which the robot moves until the errors of its measurements are new; pairings of
+    # a scan after a shorter motion have that fraction of their information
     negative_evidence: bool = False  # where the view is known, remove features that should be in view and are not
     # measured (`slam_gym.slam.negative_evidence`); needs `relocate`, which notices that the pose is wrong
 
@@ -102,6 +106,8 @@ class Slam:
         self._experience: Experience | None = None  # what the associator has learned so far
         self._weighs_all = False  # whether the associator of the last scan returns an experience
         self._odometry = STILL  # the last
+        self._moved = math.inf  # [m] since the last scan that the map learned from
+        self._newest = NO_ID  # id of the last feature of the map, which changes where others remove any: ids ascend
         self._adopted = _NO_FEATURES  # ids of features that others have added to the map
         self._linked = math.nan  # [m] the reach by which these were last linked
         self._warned = False
@@ -133,12 +139,16 @@ class Slam:
         """
         check_inputs(odometry, scan)
         self.map.spec = self.spec.map
-        if self.map.n != self.covisibility.n:  # the map was loaded, or others have added features
+        known = self.covisibility.n
+        if known and (self.map.n < known or self.map.arrays[2][ekf.IDS, known - 1] != self._newest):
+            raise ValueError("map: features were removed by others than this Slam")
+        if self.map.n != known:  # the map was loaded, or others have added features
             self._adopt()
         if len(self._adopted):
             check_scan(scan)
         prediction = self._predict(odometry, scan, self._most_accidental)
         self._odometry = odometry
+        self._moved += math.hypot(*odometry.motion[:2])
         return prediction
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
@@ -176,6 +186,11 @@ class Slam:
         pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
+        if self._moved < self.spec.error_length and count:
+            fraction = max(self._moved / self.spec.error_length, _AT_REST)
+            factors = np.where(hypothesis.features == UNPAIRED, 1.0, 1.0 / fraction)
+            scan = replace(scan, covariances=factors[:, None, None] * scan.covariances)
+        self._moved = 0.0 if count else self._moved
         absent = self._evidence.learn(prediction, hypothesis, m)
         m.make_room(count)
         graph.make_room(count)
@@ -189,6 +204,7 @@ class Slam:
         self._experience = hypothesis.experience or self._experience
         m.learned(added, len(removed))
         graph.n = m.n
+        self._remember()
         self._learned_at.append(m.step)
         if len(removed):
             self.tracker.renumber(became)
@@ -230,6 +246,7 @@ class Slam:
         if fusion is None:
             return step
         self.map, self.covisibility, self.fused = fusion.map, fusion.covisibility, fusion.ids
+        self._remember()
         self.tracker.renumber(fusion.became)
         if any(record.kind != "duplicates" for record in self.atlas.fusions[known:]):
             self._evidence.reset()
@@ -334,16 +351,19 @@ class Slam:
         return self.update(scan, everything, hypothesis)
 
     def _adopt(self) -> None:
-        """Enter the features in the graph that others have added to the map. Raises as `predict`."""
+        """Enter the features in the graph that others have added to the map."""
         m, graph = self.map, self.covisibility
-        if m.n < graph.n:
-            raise ValueError(f"map: {graph.n - m.n} features were removed by others than this Slam")
         if not graph.n:  # the robot of a loaded map should see what it saw in its last scan
             seen = np.flatnonzero(m.last_seen == m.last_seen.max())
             self.tracker.accept(Hypothesis(seen, 0.0, 0))
             self.tracker.look(observe(m.pose, m.positions[seen]))
         self._adopted, self._linked = np.concatenate([self._adopted, m.ids[graph.n :]]), math.nan
         graph.add(m.n - graph.n)
+        self._remember()
+
+    def _remember(self) -> None:
+        """Note the id of the last feature, after the map has changed."""
+        self._newest = int(self.map.arrays[2][ekf.IDS, self.map.n - 1]) if self.map.n else NO_ID
 
     def _link_adopted(self, reach: float) -> None:
         """Add an edge between any two features added by others that one scan with this `reach` [m] may see."""

@@ -54,6 +54,12 @@ class Odometry:
         check_array("Odometry.motion", self.motion, FLOAT, (3,))
         check_array("Odometry.covariance", self.covariance, FLOAT, (3, 3))
 
+    @property
+    def arrays(self) -> tuple[Array, Array]:
+        """Motion and covariance in the layout for which loops are compiled, as `Scan.arrays`."""
+        arrays = self.motion, self.covariance
+        return arrays if all(array.flags.carray for array in arrays) else (compact(arrays[0]), compact(arrays[1]))
+
     @classmethod
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
         """Odometry of a motion (3,) [m, m, rad] with independent standard deviations (3,), or one number for all three.

@@ -177,11 +177,16 @@ def _straighten(packed: Packed, path: Array, radius: float, waypoints: Array) ->
 
 @compiled
 def _passable(grid: WallGrid, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
-    """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free."""
+    """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free, and
+    nothing thinner lies between them."""
     dx, dy = x2 - x1, y2 - y1
     length, nothing = math.hypot(dx, dy), (np.empty((0, 3)), np.empty((0, 4)))
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
         if not sees(grid, nothing, x, y, dx, dy, 0.0):
+            return False
+    for wall in grid.walls:  # what crosses none of the lines has its ends between them
+        x, y = wall[0] - x1, wall[1] - y1
+        if 0.0 <= x * dx + y * dy <= length * length and abs(dx * y - dy * x) < radius * length:
             return False
     return True

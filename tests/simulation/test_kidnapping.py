@@ -24,12 +24,13 @@ def kidnapped(**settings) -> Scenario:
 # --- what is done to the robot ----------------------------------------------------------------------------------------
 
 CELLS = np.array([[float(x), 0.0] for x in range(20)])
+FREE = CELLS, 0.2, np.empty((0, 5))
 TRAIL = [np.array([x, 0.0, 0.0]) for x in np.linspace(0.0, 9.0, 91)]
 
 
 def destination(tick: int = 50, been: list[Array] = TRAIL, seed: int = 0, **settings) -> Array | None:
     kidnapping = Kidnapping(KidnappingSpec(**settings), 100)
-    return kidnapping.destination(tick, been, CELLS, np.random.default_rng(seed))
+    return kidnapping.destination(tick, been, FREE, np.random.default_rng(seed))
 
 
 def test_inside_is_a_place_where_the_robot_has_been_and_far_enough_away() -> None:
@@ -41,10 +42,10 @@ def test_inside_is_a_place_where_the_robot_has_been_and_far_enough_away() -> Non
 
 def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
     kidnapping, rng = Kidnapping(KidnappingSpec(at=0.5), 100), np.random.default_rng(0)
-    carried = [tick for tick in range(100) if kidnapping.destination(tick, TRAIL, CELLS, rng) is not None]
+    carried = [tick for tick in range(100) if kidnapping.destination(tick, TRAIL, FREE, rng) is not None]
     assert carried == [50] and kidnapping.happened == 50
     nobody, before = Kidnapping(None, 100), rng.bit_generator.state
-    assert all(nobody.destination(tick, TRAIL, CELLS, rng) is None for tick in range(100))
+    assert all(nobody.destination(tick, TRAIL, FREE, rng) is None for tick in range(100))
     assert nobody.happened is None and rng.bit_generator.state == before
 
 
@@ -52,7 +53,7 @@ def test_a_robot_has_recovered_when_its_pose_is_right_and_it_is_not_lost() -> No
     kidnapping, here, elsewhere = Kidnapping(KidnappingSpec(), 10), np.zeros(3), np.array([3.0, 0.0, 0.0])
     kidnapping.judge(4, here, here, 0, False)
     assert kidnapping.recovered is None  # nothing has happened yet
-    kidnapping.destination(5, TRAIL, CELLS, np.random.default_rng(0))
+    kidnapping.destination(5, TRAIL, FREE, np.random.default_rng(0))
     kidnapping.judge(5, elsewhere, here, 0, False)
     kidnapping.judge(6, here, here, 0, True)  # by chance, and it does not know
     assert kidnapping.recovered is None

@@ -58,9 +58,25 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
     assert step.prediction.confirmations == 3
     again.map.save(tmp_path / "map.npz")
     assert again.map.n == again.covisibility.n == 300 and np.isin(step.ids, np.arange(300)).all()
-    again.map.remove(np.arange(20))
-    with pytest.raises(ValueError, match="map: 20 features were removed"):
-        again.step(STILL, scan_of(places))
+    for added in (0, 20, 30):
+        other = copy.deepcopy(again)
+        other.map.remove(np.arange(20))
+        other.map.add(scan_of(places[:added] + 50.0), np.arange(added))
+        with pytest.raises(ValueError, match="map: features were removed"):
+            other.step(STILL, scan_of(places))
+
+
+def test_a_robot_at_rest_learns_from_errors_that_stay_as_if_it_had_measured_once() -> None:
+    places, told = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), {}
+    for length in (0.0, 1.0):
+        slam = slam_of(error_length=length)
+        slam.step(STILL, scan_of(places))
+        for k in range(20):
+            motion = STILL if k else Odometry.from_motion([1.0, 0.0, 0.0], 0.2)
+            slam.step(motion, scan_of(places - [1.0, 0.0]))
+            told[length, k] = np.linalg.det(slam.map.pose_covariance) ** (1.0 / 3.0)
+    assert told[0.0, 0] == told[1.0, 0]  # after a metre the errors are new
+    assert told[1.0, 19] > 0.9 * told[1.0, 0] and told[0.0, 19] < 0.6 * told[0.0, 0]
 
 
 @pytest.mark.parametrize("first", [[], [[0.5, 0.0]], [[np.nan, 1.0]]])

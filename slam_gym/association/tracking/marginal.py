@@ -136,8 +136,10 @@ PriorArrays = tuple[float, float, Array, Array, tuple[float, float]]
 
 
 def prior_of(experience: Experience | None) -> PriorArrays:
-    """The prior after the experience of a run."""
+    """The prior after the experience of a run. Raises ValueError for that of another associator."""
     past = experience or NOTHING_SEEN
+    if past.detections.shape != DETECTIONS.shape:
+        raise ValueError(f"experience.detections: shape {past.detections.shape}, expected {DETECTIONS.shape}")
     unpaired, area = UNPAIRED_BEFORE + past.unpaired, AREA + past.area
     run = math.log(unpaired / area), float(experience is not None)
     return unpaired, area, DETECTIONS, past.detections, run

@@ -24,15 +24,17 @@ def true_association(
         new_features: also decide which measurements start a feature: the first of each true feature that is not in the
             map.
 
-    Raises ValueError where the truth is missing, or the number of sources is not that of the measurements.
+    Raises ValueError where the truth is missing, or of another number of measurements or features.
     """
     if sources is None or identities is None:
         raise ValueError(
             "true_association needs the true sources: environments, and slam-gym evaluate-association --recording, "
             "have them; Slam alone does not"
         )
-    if len(sources) != len(scan.points):
-        raise ValueError(f"sources: {len(sources)} for {len(scan.points)} measurements")
+    sources, identities = np.asarray(sources), np.asarray(identities)
+    if len(sources) != len(scan.points) or len(identities) != prediction.expected.n:
+        told = f"sources: {len(sources)} for {len(scan.points)} measurements"
+        raise ValueError(f"{told}, identities: {len(identities)} for {prediction.expected.n} features")
     row_of: dict[int, int] = {}
     for row, source in enumerate(identities[prediction.features].tolist()):
         row_of.setdefault(source, row)
