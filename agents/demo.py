@@ -82,7 +82,8 @@ def main(
         episode = mapped(scenario, seed, speeds, associator=name)
         error = episode.map_error()
         print(f"  map error {error:.2f} (0: a perfect map, 1: an empty one)")
-        plot_episode(episode, ax).set(title=f"{name}: map error {error:.2f}", xticks=[], yticks=[])
+        title = f"{name}: map error {error:.2f}"
+        plot_episode(episode, ax).set(title=title, xticks=[], yticks=[], xlabel="", ylabel="")
         ax.spines[:].set_visible(False)
     figure.savefig(output)
     print(f"picture: {output.resolve()}")

@@ -194,7 +194,7 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
                 ax.plot(*np.stack([here[:2], point]).T, color=RED if wrong else GREEN, lw=2.2 if wrong else 0.8)
         ax.plot(*here[:2], marker=(3, 0, np.degrees(here[2]) - 90.0), color=RED, ms=10)
         x0, y0, x1, y1 = episode.site.plan.bounds
-        ax.set(xticks=[], yticks=[], xlim=(x0 - 1.0, x1 + 3.0), ylim=(y0 - 1.5, y1 + 2.0))
+        ax.set(xticks=[], yticks=[], xlabel="", ylabel="", xlim=(x0 - 1.0, x1 + 3.0), ylim=(y0 - 1.5, y1 + 2.0))
         ax.spines[:].set_visible(False)
         name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
         figure.text(0.5, 0.945, name, ha="center", fontsize=12, weight="bold")

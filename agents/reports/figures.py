@@ -107,7 +107,7 @@ def final_map(episode: Episode) -> Figure:
     red, and yellow lines from true features to their positions in the map."""
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
     axis = plot_episode(episode, figure.subplots(subplot_kw={"frameon": False}), errors=True)
-    axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
+    axis.set(xticks=[], yticks=[], xlabel="", ylabel="", title=f"map error {episode.map_error():.2f}")
     return figure
 
 

@@ -165,6 +165,7 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
     from matplotlib.collections import LineCollection
 
     ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
+    ax.set(xlabel=ax.get_xlabel() or "x [m]", ylabel=ax.get_ylabel() or "y [m]")
     points, lines = wall_lines(grid.cells, compose(episode.base, np.array([*grid.origin, 0.0])), grid.resolution)
     lines = np.concatenate([lines, np.tile(points, 2)])  # a cell without neighbours is a dot
     ax.add_collection(LineCollection([*lines.reshape(-1, 2, 2)], colors=LIGHT, linewidths=2.4, capstyle="round"))

@@ -1,9 +1,9 @@
 """A surveyed field: a map of any size with realistic, correlated errors, and scans to relocate in it.
 
-A square field of point features (0.02 per m²) is mapped in one lawn-mower pass, in lanes 12 m apart, by a robot with a
-sensor of 15 m and 180°. Its odometry drifts between stations along the pass, and features seen again from the previous
-lane link each station to its neighbour there: errors are large over the map and small between neighbours, as in a
-stochastic map. Then the robot is lost, and scans once, inside the field or outside of it.
+A square field of point features (0.02 per m²) is mapped in one lawn-mower pass, in lanes at most 12 m apart, by a robot
+with a sensor of 15 m and 180°. Its odometry drifts between stations along the pass, and features seen again from the
+previous lane link each station to its neighbour there: errors are large over the map and small between neighbours, as
+in a stochastic map. Then the robot is lost, and scans once, inside the field or outside of it.
 """
 
 import itertools
