@@ -56,6 +56,9 @@ def test_an_exploration_is_drawn_in_the_frame_of_the_world():
     ax, episode = plot_episode(env.episode), env.episode
     assert np.allclose(ax.lines[-2].get_xydata(), np.array(episode.poses)[:, :2])
     assert np.hypot(*(ax.lines[-1].get_xydata()[-1] - episode.poses[-1][:2])) < 0.2
+    given = ax.figure.add_subplot(xlabel="east [m]")
+    plot_episode(episode, given)
+    assert (given.get_xlabel(), given.get_ylabel()) == ("east [m]", "y [m]")
 
 
 def test_pairings_that_are_wrong_are_told_by_their_lines_too(slam):
