@@ -154,6 +154,8 @@ def _notebook(path: Path) -> str:
             for page, file in COPIES.items():
                 text = text.replace(f"](../{file})", f"](../../{page.removesuffix('.md')}/)")
             text = re.sub(r"\]\(\.\./docs/([\w/]+)\.md(#[\w-]+)?\)", r"](../../\1/\2)", text)
+            shown = r"![\1](../../\2-light.svg#only-light)![\1](../../\2-dark.svg#only-dark)"
+            text = re.sub(r"!\[([^]]*)\]\(\.\./docs/(\S+)-light\.svg\)", shown, text)
             text = text.replace("](../docs/", "](../../")  # pictures
             cell["source"] = text.splitlines(keepends=True)
     return json.dumps(notebook, ensure_ascii=False, indent=1)
