@@ -26,7 +26,7 @@ THEMES = {
 NAMES = {
     "nearest_neighbour": "nearest neighbour", "global_nearest_neighbour": "global nearest neighbour",
     "singles": "SINGLES", "one_point_ransac": "1-point RANSAC", "jcbb": "JCBB", "ipjc": "IPJC",
-    "map_hypothesis": "most probable", "true_association": "true association",
+    "true_association": "true association",
     "nearest_frontier": "nearest frontier", "information_gain": "information gain", "lawnmower": "lawn-mower",
 }  # fmt: skip
 
