@@ -148,16 +148,12 @@ class Canvas:
         self.discs(points, 0.5 * broad, wall)
 
 
-def _font(size: int, bold: bool) -> Any:
-    pygame.font.init()
-    path = pygame.font.match_font("dejavusans,liberationsans,arial,helvetica", bold=bold)
-    return pygame.font.Font(path, size)
-
-
 @functools.lru_cache(maxsize=512)
 def text(words: str, size: int, colour: Colour, bold: bool = False) -> Any:
     """A surface with one line of text, `size` [pixels] high."""
-    return _font(size, bold).render(words, True, colour)
+    pygame.font.init()
+    path = pygame.font.match_font("dejavusans,liberationsans,arial,helvetica", bold=bold)
+    return pygame.font.Font(path, size).render(words, True, colour)
 
 
 def pixels(picture: Any) -> NDArray[np.uint8]:

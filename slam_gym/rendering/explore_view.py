@@ -60,14 +60,12 @@ def arrange(bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -
     The panel contains `rows` figures and the legend for the fields that are `shown`.
     """
     width, height = SIZE
-    side_by_side = legend(shown, False)
-    below = max(_TITLE + math.ceil(rows / 2) * _ROW, side_by_side.get_height() + 2 * _MARGIN)
-    right = (width - _BESIDE, 0, _BESIDE, height), True, legend(shown, True)
-    bottom = (0, height - below, width, below), False, side_by_side
+    below = max(_TITLE + math.ceil(rows / 2) * _ROW, legend(shown, False).get_height() + 2 * _MARGIN)
     layouts = []
-    for (w, h), panel in (((width - _BESIDE, height), right), ((width, height - below), bottom)):
+    for beside, w, h in ((True, width - _BESIDE, height), (False, width, height - below)):
         room = _MARGIN, _MARGIN + _SCALE_BAR, w - 2 * _MARGIN, h - 2 * _MARGIN - _SCALE_BAR
-        layouts.append(Layout((w, h), *fitting(bounds, room), *panel))
+        panel = (w, 0, _BESIDE, height) if beside else (0, h, width, below)
+        layouts.append(Layout((w, h), *fitting(bounds, room), panel, beside, legend(shown, beside)))
     return max(layouts, key=lambda layout: layout.scale)
 
 
