@@ -46,11 +46,9 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
     file = Path(path)
     with naming(file):
         try:
-            text = content_of(file).decode("utf-8-sig")
+            table = _table(content_of(file).decode("utf-8-sig"))
         except UnicodeDecodeError:
             raise RecordingError("is no text in UTF-8") from None
-        try:
-            table = _table(text)
         except csv.Error as error:
             raise RecordingError(str(error)) from None
         measured = POLAR if "range" in table else POINT
