@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slam_gym._jit import compiled
 from slam_gym.geometry import cells_along
 from slam_gym.types import Array, Beams
+from slam_gym.types._fields import locked
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 
@@ -59,8 +60,7 @@ class ExploredGrid:
     beam −1. The sign of the evidence is the cell's class (zero leaves the class unchanged). Because it saturates at ±8,
     new evidence overrules old after the pose estimate has been corrected, or a person has walked on.
 
-    `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Raises ValueError for bounds that
-    are not finite or have no area, and for more than 20 million cells.
+    `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Raises ValueError as `shape_of`.
     """
 
     def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
@@ -80,9 +80,7 @@ class ExploredGrid:
     @property
     def cells(self) -> Cells:
         """Class of every cell (h, w): UNKNOWN, FREE or WALL. A read-only view, which changes with the grid."""
-        view = self._cells.view()
-        view.flags.writeable = False
-        return view
+        return locked(self._cells)
 
     @property
     def explored(self) -> ExploredCells:
