@@ -64,12 +64,7 @@ class DrivenRun(Episode):
         # nothing would relocate a robot that is carried away; at the first scan there is nothing to associate
         super().__init__(replace(scenario, kidnapping=None), site, "nearest_neighbour", rng)
         self._commands = drive(self, driver, choices)
-        self.scans = 1  # so far, with the first one at the start
-
-    @property
-    def length(self) -> int:
-        """Total number of scans."""
-        return self.scenario.budget + 1
+        self.scans, self.length = 1, scenario.budget + 1  # so far, and in total, with the first one at the start
 
     def next_scan(self) -> None:
         """Drive for one tick, towards a new goal if the last one has ended, and take a scan."""

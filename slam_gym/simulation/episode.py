@@ -185,9 +185,7 @@ class Episode:
     @property
     def landmarks(self) -> Array:
         """(e, 2) [m] confirmed features of the active map in W, then those of inactive maps."""
-        maps = self.slam.maps
-        in_base = maps[0].confirmed if len(maps) == 1 else np.concatenate([m.confirmed for m in maps])
-        return transform(self.base, in_base)
+        return transform(self.base, np.concatenate([m.confirmed for m in self.slam.maps]))
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
