@@ -206,5 +206,4 @@ SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 
 def slam_for(recording: Recording) -> SlamSpec:
     """The settings for a recording: those chosen for its kind, or `LOG_SETTINGS`."""
-    kind = recording.name.partition("/")[0]
-    return SETTINGS.get(kind, LOG_SETTINGS)
+    return SETTINGS.get(recording.name.partition("/")[0], LOG_SETTINGS)
