@@ -148,8 +148,7 @@ class VirtualMap:
 
     def entropy(self) -> float:
         """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat], less that before any observation."""
-        constant = 2.0 * math.pi * math.e
-        return 0.5 * (math.log(constant) + self._mean_log()) - 0.5 * math.log(constant * self.prior_sigma**2)
+        return 0.5 * (self._mean_log() - math.log(self.prior_sigma**2))  # the constant 2πe cancels
 
     def _mean_log(self) -> float:
         """Mean of log λ over the eigenvalues of all covariances, from their determinants."""

@@ -24,8 +24,7 @@ def frontiers(grid: ExploredGrid, reachable: BoolArray, min_length: float = 0.6,
     """
     side = grid.resolution
     cells_found = find_frontiers(grid.cells, reachable, min_length / side - 1e-9, span / side)
-    centres: Array = grid.origin + (cells_found[:, :2] + 0.5) * side
-    return centres
+    return grid.origin + (cells_found[:, :2] + 0.5) * side
 
 
 def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:

@@ -59,8 +59,7 @@ class DistanceField:
         if len(rows) == 0:
             return self.start.copy()
         centres = self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.resolution
-        centre: Array = centres[np.argmin(((centres - point) ** 2).sum(axis=1))]
-        return centre
+        return np.asarray(centres[np.argmin(((centres - point) ** 2).sum(axis=1))])
 
     def along_each(self, goals: Array, spacing: float) -> tuple[Array, IntArray]:
         """Points (p, 2) in B on the paths to `goals` (q, 2), path after path, and their number on each path (q,).
