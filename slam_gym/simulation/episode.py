@@ -87,15 +87,13 @@ class Episode:
         self.base = free_start(site.plan, site.cells, scenario.robot.radius, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        slam = scenario.slam
-        reach = scenario.sensor.range if slam.reach is None else slam.reach
+        slam, sensor = scenario.slam, scenario.sensor
+        reach = sensor.range if slam.reach is None else slam.reach
         spec = replace(slam, reach=reach, locality=locality and slam.locality)
         x0, y0, x1, y1 = site.plan.bounds
         corners = observe(self.base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))  # in B
         bounds = np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
-        self._cells = self.grid.cells  # a view, which changes with the grid
-        sensor = scenario.sensor
         sight = ViewsFrom(sensor.field_of_view, sensor.range, sensor.min_range, explored=self.grid.explored)
         self.slam = Slam(spec, sight, relocate=relocate, atlas=atlas)
         # true associations include new features: with a wide gate it would map fewer features than other associators
@@ -199,6 +197,6 @@ class Episode:
         """Map error and coverage, computed once per tick, since both rewards and info use them."""
         if self._appraised_at != self.ticks:
             error = map_quality.error_of(self.landmarks, self._indexed)
-            self._appraised = error, map_quality.coverage(self._cells, self._reachable)
+            self._appraised = error, map_quality.coverage(self.grid.cells, self._reachable)
             self._appraised_at = self.ticks
         return self._appraised
