@@ -1,7 +1,6 @@
 """The DLR log: a robot drives 505 m through a building and sees artificial circles on its floor, all of them labelled.
 
-Published by J. Kurlbaum and U. Frese, "A Benchmark Data Set for Data Association", SFB/TR 8 report, 2009. The reader
-needs the file `map.circles`, gzipped or not.
+The reader needs the published file `map.circles` (see `SOURCE`), gzipped or not.
 
 In the file, the robot looks along −Y and has X to its right. Turned by a right angle, x' = −y and y' = x, it looks
 along X, as in this package. The map is then the mirror image of the building, but consistent.
