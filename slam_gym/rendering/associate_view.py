@@ -27,21 +27,19 @@ _KEY = (
 def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
     """A surface with a run and the walk through the tree of its present scan, or None after the end of the run."""
     scene = scene_of_episode(run) if isinstance(run, DrivenRun) else scene_of_log(run)
-    pose = scene.pose
-    assert pose is not None
-    points = np.vstack([pose[:2], transform(pose, run.scan.points)])
+    points = np.vstack([scene.pose[:2], transform(scene.pose, run.scan.points)])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.5 * np.maximum(_MIN_EXTENT - (high - low), 0.0)
     view = fitting(np.concatenate([low - margin, high + margin]), _ROOM)
     canvas = Canvas(MAP, *view, symbols.PAPER)
-    draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
-    centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
+    draw_scene(canvas, scene if walk is None else _with_decisions(scene, walk, answers))
+    centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, scene.pose, walk)
     return picture_with(canvas, centres, _panel(run, walk, answers, figures))
 
 
-def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:
+def _with_decisions(scene: Scene, walk: Walk, answers: RightAnswers) -> Scene:
     """The scene with the scan and the decisions on it so far. What is compatible with no feature stays unpaired."""
-    tree, rows = walk.tree, walk.decided
+    tree, rows, pose = walk.tree, walk.decided, scene.pose
     has_candidates = np.isin(np.arange(len(rows)), walk.candidates.measurements)
     codes = np.where(has_candidates, decisions(walk, answers), Decision.DISCARDED)
     paired, has_feature = np.full((len(rows), 2), np.nan), rows != UNPAIRED

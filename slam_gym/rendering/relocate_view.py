@@ -51,7 +51,7 @@ def _map(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes:
     located = locate(walk.scan, walk.landmarks, features)
     pose = compose(base, located.pose)
     scene = Scene(
-        true_pose=kidnapped.true_pose if kidnapped.inside else None,
+        true_pose=kidnapped.true_pose if kidnapped.inside else np.full(3, np.nan),
         landmarks=landmarks,
         landmark_covariances=rotate_covariances(base[2], mapped.landmarks.covariances),
         provisional=np.zeros(len(landmarks), np.bool_),
@@ -66,7 +66,7 @@ def _map(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes:
         )
     canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)  # pale, below what was mapped
     draw_scene(canvas, scene, 1.0)
-    if scene.pose is None:
+    if np.isnan(scene.pose).any():
         symbols.marks(canvas, ends[paired], codes[paired], 1.3)
     if walk.node.pairings and walk.locality is not None:
         local = walk.locality.of(int(walk.node.path.features[0]))

@@ -37,9 +37,9 @@ class Scene(NamedTuple):
     furniture: Array = np.empty((0, 5))  # (f, 5) x, y, length, width [m], heading [rad]
     people: Array = np.empty((0, 3))  # (p, 3) x, y, radius [m]
     robot_radius: float = 0.2  # [m]
-    true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where unknown
+    true_pose: Array = np.full(3, np.nan)  # (3,) [m, m, rad]; NaN where unknown
     true_trail: Array = np.empty((0, 2))  # (t, 2) [m]
-    pose: Array | None = None  # (3,) estimated
+    pose: Array = np.full(3, np.nan)  # (3,) estimated; NaN where unknown
     position_covariance: Array = np.zeros((2, 2))  # (2, 2) [m²] of that pose
     trail: Array = np.empty((0, 2))  # (t, 2) [m] estimated
     landmarks: Array = np.empty((0, 2))  # (n, 2) [m] the map
@@ -74,17 +74,17 @@ def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
     canvas.segments(scene.walls, symbols.WALL, 1.6 * max(size, 0.7))
     canvas.polyline(scene.true_trail, symbols.TRAIL, 2.0 * size)
     canvas.polyline(scene.trail, symbols.ESTIMATED_TRAIL, 1.2)
-    here = np.zeros(2) if scene.pose is None else scene.pose[:2]
+    is_located = np.isfinite(scene.pose).all()
+    here = scene.pose[:2] if is_located else np.zeros(2)
     symbols.plan(canvas, here, scene.path, scene.goals, size)
     symbols.true_features(canvas, scene.features, scene.kinds, 3.0 * size)
     symbols.landmarks(canvas, scene.landmarks, scene.provisional, 2.3 * size)
     symbols.people(canvas, scene.people)
-    if scene.pose is not None and scene.position_covariance.any():
+    if is_located and scene.position_covariance.any():
         canvas.ellipses(scene.pose[None, :2], scene.position_covariance[None], None, symbols.MAPPED)
     symbols.decisions(canvas, here, scene.scan_points, scene.paired_positions, scene.decisions, size)
-    if scene.true_pose is not None:
-        symbols.robot_body(canvas, scene.true_pose, scene.robot_radius, 6.0 * size)
-    if scene.pose is not None:
+    symbols.robot_body(canvas, scene.true_pose, scene.robot_radius, 6.0 * size)
+    if is_located:
         symbols.robot_estimate(canvas, scene.pose, scene.robot_radius, 6.0 * size)
 
 
