@@ -207,7 +207,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         """Close the window, if there is one. May be called repeatedly; rendering opens a new window."""
         if self._window is not None:
             self._window.close()
-            self._window = None
 
     def checked_options(self, options: dict[str, Any] | None) -> dict[str, Any]:
         """The options of a reset. Raises ValueError for unknown ones, and for a world outside the split."""

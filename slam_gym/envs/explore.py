@@ -208,12 +208,10 @@ class ExploreEnv(BaseEnv):
     def _checked(self, action: Any) -> Any:
         if self.goal_mode:
             return super()._checked(action)
-        if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
-            first, second = action.tolist() if isinstance(action, np.ndarray) else action
-            with contextlib.suppress(TypeError, ValueError):  # of what is no number
-                forward, turn = float(first), float(second)
-                if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
-                    return forward, turn
+        with contextlib.suppress(TypeError, ValueError):  # of what is no pair of numbers
+            forward, turn = np.asarray(action, np.float64).tolist()
+            if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
+                return forward, turn
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:
