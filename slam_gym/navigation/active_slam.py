@@ -152,8 +152,7 @@ class VirtualMap:
 
     def _mean_log(self) -> float:
         """Mean of log λ over the eigenvalues of all covariances, from their determinants."""
-        c = self.covariances
-        return 0.5 * float(np.log(c[..., 0, 0] * c[..., 1, 1] - c[..., 0, 1] * c[..., 1, 0]).mean())
+        return 0.5 * float(np.log(np.linalg.det(self.covariances)).mean())
 
 
 def _in_view(dx: Array, dy: Array, heading: float, beams: Beams) -> BoolArray:

@@ -66,8 +66,7 @@ class ExploredGrid:
     def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
         shape = shape_of(bounds, resolution)
         self.resolution = float(resolution)
-        self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
-        self.origin.flags.writeable = False
+        self.origin = locked(np.array(bounds[:2], dtype=np.float64))  # (2,) [m] in B
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
         self._blocks = np.zeros([-(-side // BLOCK) for side in shape], dtype=np.int16)
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
