@@ -152,7 +152,7 @@ class AssociateEnv(BaseEnv):
         run, reward = self.run, 0.0
         if self.walk is not None:
             action = action if self.walk.mask[action] else self.K
-            reward = self._earned(action)
+            reward = self._earned(self.walk, action)
             self.walk.take(action)
         self._proceed()
         if self.arguments.reward == "map_error":
@@ -197,13 +197,11 @@ class AssociateEnv(BaseEnv):
                 compatibility=self.arguments.compatibility,
             )
 
-    def _earned(self, action: int) -> float:
+    def _earned(self, walk: Walk, action: int) -> float:
         """What an action earns by the truth."""
-        assert self.walk is not None
         if action == self.K:
             return 0.0
-        feature = int(self.run.prediction.features[self.walk.rows[action]])
-        right, wrong = self._answers.judge(self.walk.measurement, feature)
+        right, wrong = self._answers.judge(walk.measurement, int(self.run.prediction.features[walk.rows[action]]))
         self._right, self._wrong = self._right + right, self._wrong + wrong
         decisions = max(self._answers.known, 1) * max(self.run.length - 1, 1)
         return (right - self.arguments.wrong_cost * wrong) / decisions
