@@ -61,7 +61,7 @@ def in_radians(name: str, angles: Array) -> Array:
 
 
 def _formatted(shape: tuple[int, ...]) -> str:
-    return "(" + ", ".join("m" if side == -1 else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
+    return str(shape).replace("-1", "m")
 
 
 def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, m: int) -> Array:
