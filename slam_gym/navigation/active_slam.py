@@ -160,9 +160,8 @@ def _in_view(dx: Array, dy: Array, heading: float, beams: Beams) -> BoolArray:
 
     A beam covers half the angle between the first two beams on either side.
     """
-    angles, spread = heading + beams.bearings, 1.0
-    if len(angles) > 1:
-        spread = math.cos(0.5 * (angles[1] - angles[0]))
+    angles = heading + beams.bearings
+    spread = math.cos(0.5 * (angles[1] - angles[0])) if len(angles) > 1 else 1.0
     along = np.cos(angles) * dx[..., None] + np.sin(angles) * dy[..., None]
     nearest, distance = along.argmax(axis=-1), np.hypot(dx, dy)
     is_covered = along.max(axis=-1) >= spread * distance - 1e-9
