@@ -67,7 +67,7 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
 
 
 def test_a_robot_at_rest_learns_from_errors_that_stay_as_if_it_had_measured_once() -> None:
-    places, told, rest = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), {}, Odometry.from_motion(np.zeros(3), 0.0)
+    places, rest, told = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), Odometry.from_motion([0, 0, 0], 0.0), {}
     for length in (0.0, 1.0):
         slam = slam_of(error_length=length)
         slam.step(rest, scan_of(places))
