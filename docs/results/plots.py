@@ -111,7 +111,7 @@ def recordings(theme: dict[str, str]) -> Figure:
     left.set_xticks([], minor=True)
     robots = data[data.recording.str.startswith("mrclam")]
     for name, height in zip(order, heights):
-        ate = robots[robots.associator == ("marginal" if name == "learned" else name)].ate
+        ate = robots[robots.associator == name].ate
         right.plot(ate, [height] * len(ate), "o", color=theme["grey"], markersize=4)
         right.plot(ate.mean(), height, "|", color=theme["red"], markersize=16, markeredgewidth=3)
     right.set(title="MR.CLAM: robots and mean", xlabel="ATE [m]", xlim=(0, 2.05))

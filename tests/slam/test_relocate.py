@@ -1,5 +1,6 @@
 """A robot that is lost: what is not learned, when the search is asked, and how the step goes on from its answer."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -214,6 +215,29 @@ def test_only_answers_that_explain_the_scan_and_cannot_be_chance_are_believed() 
         assert (search(scan, slam.map, slam.covisibility, slam.reach, None) is answer) is (name == "all"), name
         shown, landmarks, locality = asked[-1]
         assert not shown.points.flags.writeable and len(landmarks) == len(locality) == slam.map.n == 12
+
+
+def test_of_two_rooms_that_are_alike_neither_is_believed_though_one_fits_better() -> None:
+    rng, graph, relocate = (
+        np.random.default_rng(0),
+        CovisibilityGraph(),
+        pickle.loads(pickle.dumps(relocate_by("gcbb"))),
+    )
+    room, answers = rng.uniform(0.0, 12.0, (25, 2)), {}
+    graph.add(25)
+    graph.see_together(np.arange(25))
+    for rooms in (1, 2):
+        places = np.vstack([room + np.array([40.0 * k, 0.0]) for k in range(rooms)])
+        m = StochasticMap()
+        m.add(Scan.from_points(rng.normal(places, 0.03), sigma=0.03), np.arange(len(places)))
+        scans = [rng.permutation(25)[:9] for _ in range(20)]
+        shown = [Scan.from_points(rng.normal(observe([6.0, 6.0, 1.0], room[rows]), 0.03), sigma=0.03) for rows in scans]
+        answers[rooms] = [relocate(scan, m, graph, 12.0, None) for scan in shown]
+        graph.add(25)
+        graph.see_together(np.arange(25, 50))
+    assert all(answer is None for answer in answers[2])
+    poses = np.array([answer.pose for answer in answers[1] if answer is not None])
+    assert len(poses) == 20 and np.abs(poses - [6.0, 6.0, 1.0]).max() < 0.2
 
 
 def test_a_search_or_a_locality_that_nobody_knows_is_refused() -> None:
