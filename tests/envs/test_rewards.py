@@ -5,8 +5,10 @@ import pytest
 
 from slam_gym.envs.explore import REWARDS
 from slam_gym.geometry import observe
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.active_slam import VirtualMap
+from slam_gym.slam.places.fusion import MappedArea
 from slam_gym.types import Scan
 from tests.rollouts import SCENARIOS, episode, explore, short
 
@@ -21,6 +23,15 @@ def test_rewards_sum_to_the_first_error_minus_the_last(reward, action) -> None:
         errors.append(error(env.episode))
         assert total == pytest.approx(errors[0] - errors[-1], abs=1e-12)
     assert errors[-1] < errors[0] - 0.01, "nothing was learnt, so nothing was tested"
+
+
+def test_in_a_second_map_whose_place_nobody_knows_certainty_pays_nothing() -> None:
+    env, paid = explore(short(60), action="twist", reward="a_opt"), []
+    for tick, (_, reward, *_) in enumerate(episode(env, seed=1)):
+        if tick == 30:
+            env.episode.slam.atlas.inactive.append(MappedArea(StochasticMap(), CovisibilityGraph()))
+        paid.append(reward)
+    assert any(paid[1:30]) and not any(paid[31:]) and len(paid) > 50
 
 
 def mapped(env, points: np.ndarray, times: int) -> float:

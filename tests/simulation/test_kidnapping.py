@@ -40,6 +40,13 @@ def test_inside_is_a_place_where_the_robot_has_been_and_far_enough_away() -> Non
     assert drawn[:, 2].min() < -3.0 and drawn[:, 2].max() > 3.0  # facing anywhere
 
 
+def test_nobody_is_put_into_furniture() -> None:
+    free = CELLS, 0.2, np.array([[19.0, 0.0, 1.5, 1.5, 0.0]])  # at the place that is farthest away
+    kidnapping = Kidnapping(KidnappingSpec(inside=False), 100)
+    pose = kidnapping.destination(50, TRAIL, free, np.random.default_rng(0))
+    assert pose is not None and pose[0] == 18.0 and destination(inside=False)[0] == 19.0
+
+
 def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
     kidnapping, rng = Kidnapping(KidnappingSpec(at=0.5), 100), np.random.default_rng(0)
     carried = [tick for tick in range(100) if kidnapping.destination(tick, TRAIL, FREE, rng) is not None]

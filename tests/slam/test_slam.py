@@ -52,7 +52,7 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
     slam, places = slam_of(), np.random.default_rng(0).uniform(-9.0, 9.0, (300, 2))
     slam.step(STILL, scan_of(places))
     slam.map.save(tmp_path / "map.npz")
-    again = slam_of(map=MapSpec(confirmations=np.int64(3)))
+    again = slam_of(map=MapSpec(confirmations=np.int32(3)), recent=np.int64(5))
     again.map = StochasticMap.load(tmp_path / "map.npz")
     step = again.step(STILL, scan_of(places[::7]))
     assert step.prediction.confirmations == 3
@@ -188,6 +188,10 @@ def test_learning_from_a_bad_measurement_changes_nothing(new) -> None:
 
 def test_a_prediction_is_of_no_use_once_the_map_has_changed() -> None:
     slam, scan = slam_of(), scan_of(SEEN)
+    prediction = slam.predict(STILL, scan)
+    with pytest.raises(ValueError, match="odometry"):
+        slam.map.predict(Odometry(np.full(3, np.nan), np.eye(3)))
+    slam.learn(scan, prediction, Hypothesis(np.full(2, UNPAIRED), 0.0, 0))  # the map has not changed
     *_, stale = (slam.step(STILL, scan).prediction for _ in range(2))
     for use in (lambda: jcbb(scan, stale), lambda: stale.local(np.arange(2)), lambda: stale.joint(np.arange(2))):
         with pytest.raises(RuntimeError, match="map has changed"):

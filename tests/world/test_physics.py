@@ -31,6 +31,9 @@ TWO_ROOMS = plan_of(
     furniture=[(3, 6, 1.2, 0.6, 0.3), (9, 2, 0.8, 0.8, 1.0), (4.2, 6.4, 0.5, 0.5, 0.0)],
 )
 
+# thinner than the distance of a person's centre and flanks
+POSTS = plan_of((0, 0, 12, 8), *((x, y, x + 0.1, y + 0.1) for x in (3, 5, 7, 9) for y in (2, 4, 6)))
+
 
 def world_in(plan, x, y, heading=0.0, seed=0, **dynamics):
     return World(plan, np.array([x, y, heading]), RobotSpec(), DynamicsSpec(**dynamics), np.random.default_rng(seed))
@@ -160,9 +163,10 @@ def test_a_robot_that_is_carried_away_starts_from_rest_where_it_is_put_down() ->
         world.place(np.array([0.0, np.nan, 0.0]))
 
 
-def test_people_walk_about_and_keep_clear_of_walls_furniture_and_each_other():
-    world = world_in(TWO_ROOMS, 1, 1, people=5)
-    index, angles = wall_index(np.vstack([TWO_ROOMS.walls, world.furniture_segments])), np.linspace(-3, 3, 60)
+@pytest.mark.parametrize("plan", [TWO_ROOMS, POSTS], ids=["two rooms", "posts"])
+def test_people_walk_about_and_keep_clear_of_walls_furniture_and_each_other(plan):
+    world = world_in(plan, 1, 1, people=5)
+    index, angles = wall_index(np.vstack([plan.walls, world.furniture_segments])), np.linspace(-3, 3, 60)
     visited, previous = np.zeros(5), world.people
     for _ in range(600):
         motion = world.tick(0.0, 0.0)

@@ -122,6 +122,7 @@ def test_a_model_or_module_that_has_changed_is_not_resumed(tmp_path, monkeypatch
     (tmp_path / "own_rule.py").write_text("from slam_gym.association import jcbb")
     names = ["own_rule:jcbb" if file == "own_rule.py" else str(tmp_path / file)]
     carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", **NEW)
+    carry_out(associator_evaluation(["jcbb"], [SMALL], "random", range(1), [None]), tmp_path / "out", **RESUMED)
     (tmp_path / file).open("ab").write(b"  # more")
     with pytest.raises(ValueError, match=r"own.* is not the file of which .*out holds results"):
         carry_out(associator_evaluation(names, [SMALL], "random", range(2), [None]), tmp_path / "out", **RESUMED)

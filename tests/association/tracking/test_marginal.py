@@ -96,6 +96,9 @@ def test_experience_goes_with_the_run_and_is_nobody_elses():
     slam.step(odometry, scan, "jcbb")
     assert slam.step(odometry, scan, "marginal").prediction.experience is second.hypothesis.experience
     assert fresh.step(odometry, scan, "marginal").prediction.experience is None
+    strange = dataclasses.replace(slam.predict(odometry, scan), experience=Experience(0.0, 0.0, np.zeros(3)))
+    with pytest.raises(ValueError, match=r"experience\.detections: shape"):
+        marginal(scan, strange)
 
 
 def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():
