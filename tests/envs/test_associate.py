@@ -111,15 +111,6 @@ def test_answers_are_those_of_the_tally(scenario, compatibility):
     assert info["score"] == pytest.approx((tally.tp - 3.0 * tally.fp) / tally.in_map)
 
 
-def test_the_right_actions_are_right_and_earn_the_most():
-    env = associate("corridor", candidates=8)
-    steps = list(episode(env, choose=by_truth, seed=0))
-    tally = env.run.identities.total
-    assert tally.fp == 0
-    assert total(steps) > 0.9
-    assert steps[-1][4]["score"] == pytest.approx(tally.recall)
-
-
 @pytest.mark.parametrize(
     ("associator", "compatibility"),
     [

@@ -14,10 +14,12 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv
+from slam_gym.recordings import save
 from slam_gym.scenarios import SPLITS, get_scenario, overridden
 from slam_gym.simulation.association_runs import CORRIDOR, nearest_frontier
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from tests.recordings import drive
 from tests.rollouts import bare, differences, episode, random_action, short
 
 SMALL = short(120)  # a map for Relocate-v0 that is made soon
@@ -60,6 +62,8 @@ OPTIONS = [  # every value of every option at least once
                           wrong_cost=1.0, render_mode="rgb_array")),
     ("Associate-v0", dict(scenario=short(1), driver="nearest_frontier", compatibility="joint",
                           overrides={"dynamics.people": 1})),
+    ("Associate-v0", dict(scenario="recording:arc.npz?looks=12&every=2", split="test", reward="map_error",
+                          render_mode="rgb_array")),
     ("Relocate-v0", dict(split="train", locality="covisibility", order="fewest_candidates", heading_tolerance=0.3,
                          associator="true_association", kidnappings_per_map=1, node_cost=0.5)),
     ("Relocate-v0", dict(split="test", locality="two-hop covisibility", sizes=False, associator=jcbb, wrong_cost=5.0,
@@ -74,9 +78,9 @@ OPTIONS = [  # every value of every option at least once
 def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(name, options, tmp_path, monkeypatch) -> None:
     if name == "Relocate-v0":
         options = {"scenario": SMALL} | options
-    if "floor_plan" in options:
-        monkeypatch.chdir(tmp_path)
-        save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")
+    monkeypatch.chdir(tmp_path)
+    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")
+    save(drive(), "arc.npz")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gym.make(f"slam_gym/{name}", **options).unwrapped)  # with all render modes
@@ -315,7 +319,6 @@ def test_pictures_show_what_happens_and_change_nothing(case) -> None:
 
 @every_environment
 def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None:
-    pygame = pytest.importorskip("pygame")
     from slam_gym.rendering.canvas import Window
 
     shown, show = [], Window.show

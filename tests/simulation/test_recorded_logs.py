@@ -1,14 +1,10 @@
 """Recordings as scenarios of `Associate-v0`: windows, identities, rewards, and what a user is told where data lack."""
 
 import math
-import warnings
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import relative
@@ -26,10 +22,6 @@ def arc(tmp_path) -> str:
     return f"recording:{tmp_path / 'arc.npz'}"
 
 
-def looks_of(log, seed):
-    return list(log.scans(np.random.default_rng(seed)))
-
-
 # -- windows -------------------------------------------------------------------------------------------------------
 
 
@@ -42,7 +34,7 @@ def test_windows_are_pieces_of_their_part_of_the_log_and_start_where_the_robot_s
     steps = range(cut) if split == "train" else range(cut, len(thinned))
     log, step_of = windows(recording, split, 5, every), {thinned.scan(k).points.tobytes(): k for k in steps}
     for seed in range(400):
-        looks = looks_of(log, seed)
+        looks = list(log.scans(np.random.default_rng(seed)))
         assert len(looks) == log.length == 5
         first = step_of[looks[0][1].points.tobytes()]
         starts.add(first)
@@ -72,14 +64,6 @@ def test_reference_poses_are_read_between_their_neighbours_and_across_the_cut_of
 
 
 # -- the environment -----------------------------------------------------------------------------------------------
-
-
-def test_checkers_find_nothing_to_warn_of(arc) -> None:
-    options = {"reward": "map_error", "split": "test", "render_mode": "rgb_array"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make("slam_gym/Associate-v0", scenario=f"{arc}?looks=12", **options).unwrapped)
-        check_env_sb3(gym.make("slam_gym/Associate-v0", scenario=f"{arc}?looks=12&every=2", **options))
 
 
 def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:
