@@ -214,7 +214,8 @@ def test_a_number_beyond_its_limits_is_refused_by_name(kind: type, name: str) ->
     ("name", "value"),
     [("sensor.range_sigma", 1e4), ("sensor.bearing_sigma", 1e4), ("sensor.clutter", 1e9), ("sensor.range", 1e300),
      ("sensor.max_features", 10**9), ("beams.count", 2**62), ("beams.range", 1e300), ("robot.radius", 1e-6),
-     ("dynamics.substeps", 10**6), ("odometry.floor", 1e200), ("grid_resolution", 1e-6)],
+     ("dynamics.substeps", 10**6), ("odometry.floor", 1e200), ("grid_resolution", 1e-6), ("prior_sigma", 0.0),
+     ("kidnapping.at", 0.0), ("kidnapping.at", 1.0)],
 )  # fmt: skip
 def test_absurd_settings_are_refused_as_the_environment_is_made(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=rf"{name}: \w+\.\w+={re.escape(str(value))}: expected a (whole )?number from"):
