@@ -12,7 +12,7 @@ from slam_gym.metrics.map_quality import ate
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
-from slam_gym.types import Array, IntArray, Odometry, Scan, Truth
+from slam_gym.types import UNPAIRED, Array, IntArray, Odometry, Scan, Truth
 
 RADIUS, REACH, HALF_VIEW = 20.0, 10.0, 1.0  # [m, m, rad]
 
@@ -60,17 +60,24 @@ VIEW = ViewsFrom(2.0 * HALF_VIEW, REACH)
 """What the sensor has in view, as a robot knows that has nothing in its way."""
 
 
-def enter(m: StochasticMap, graph: CovisibilityGraph, points: Array, rng: np.random.Generator, sigma: float) -> None:
-    """Enter points (k, 2) [m] in R into a map and its graph, seen three times from where the robot stands."""
-    features = None
-    for _ in range(3):
-        seen = Scan.from_points(points + rng.normal(0.0, sigma, points.shape), sigma=sigma)
-        if features is None:
-            features = m.add(seen, np.arange(len(points)))
-            graph.add(len(points))
-        else:
-            m.update(seen, features)
-        graph.see_together(features)
+def enter(
+    m: StochasticMap,
+    graph: CovisibilityGraph,
+    points: Array,
+    rng: np.random.Generator,
+    sigma: float,
+    scans: list[IntArray] | None = None,
+) -> None:
+    """Enter points (k, 2) [m] in R into a map and its graph, from where the robot stands: all of them are seen three
+    times, or each of the `scans` shows some."""
+    features = np.full(len(points), UNPAIRED)
+    for shown in scans or 3 * [np.arange(len(points))]:
+        seen = Scan.from_points(points[shown] + rng.normal(0.0, sigma, (len(shown), 2)), sigma=sigma)
+        m.update(seen, features[shown])
+        new = np.flatnonzero(features[shown] == UNPAIRED)
+        features[shown[new]] = m.add(seen, new)
+        graph.add(len(new))
+        graph.see_together(features[shown])
         m.end_of_step()
 
 

@@ -218,11 +218,8 @@ def test_only_answers_that_explain_the_scan_and_cannot_be_chance_are_believed() 
 
 
 def test_of_two_rooms_that_are_alike_neither_is_believed_though_one_fits_better() -> None:
-    rng, graph, relocate = (
-        np.random.default_rng(0),
-        CovisibilityGraph(),
-        pickle.loads(pickle.dumps(relocate_by("gcbb"))),
-    )
+    rng, graph = np.random.default_rng(0), CovisibilityGraph()
+    relocate = pickle.loads(pickle.dumps(relocate_by("gcbb")))
     room, answers = rng.uniform(0.0, 12.0, (25, 2)), {}
     graph.add(25)
     graph.see_together(np.arange(25))

@@ -111,13 +111,6 @@ def test_a_name_in_place_of_a_function_is_refused_and_an_error_says_whose_it_is(
     assert raised.value.__notes__ == ["raised by associator <lambda>"]
 
 
-def test_without_a_reach_what_was_seen_once_is_found_again_however_far() -> None:
-    slam = slam_of(map=MapSpec(unconfirmed_age=2))
-    for _ in range(5):
-        step = slam.step(STILL, scan_of([[9, 0], [2, 1]]))
-    assert not step.created.any() and slam.map.n == 2 and (slam.map.seen == 5).all()
-
-
 def test_odometry_alone_is_no_scan() -> None:
     slam = slam_of(map=MapSpec(unconfirmed_age=2))
     for tick in range(31):

@@ -143,15 +143,7 @@ def test_too_little_in_common_is_not_enough(shared: int) -> None:
 def seen_as(rng: np.random.Generator, points: Array, scans: list[IntArray]) -> tuple[StochasticMap, CovisibilityGraph]:
     """A map of points (n, 2) by a robot that stands still, each of whose scans shows some of them."""
     m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
-    features = np.full(len(points), UNPAIRED)
-    for shown in scans:
-        seen = Scan.from_points(points[shown] + rng.normal(0.0, SIGMA, (len(shown), 2)), sigma=SIGMA)
-        m.update(seen, features[shown])
-        new = np.flatnonzero(features[shown] == UNPAIRED)
-        features[shown[new]] = m.add(seen, new)
-        graph.add(len(new))
-        graph.see_together(features[shown])
-        m.end_of_step()
+    enter(m, graph, points, rng, SIGMA, scans)
     return m, graph
 
 

@@ -1,6 +1,7 @@
 """Loops that are found, and those that must not be: other buildings, mirror images, motions beyond the prior."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from tests.slam.rings import enter
 
 SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
 SPEC = RecognitionSpec()
+loop_in = partial(find_loop, spec=SPEC)
 
 Mapped = tuple[StochasticMap, CovisibilityGraph]
 
@@ -59,10 +61,6 @@ def seen_again(seed: int) -> Mapped:
     rng = np.random.default_rng(seed)
     older = field(rng, 40)
     return layered(rng, older, older[:14])
-
-
-def loop_in(m: StochasticMap, graph: CovisibilityGraph) -> Array:
-    return find_loop(m, graph, SPEC)
 
 
 def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
