@@ -40,22 +40,6 @@ def test_every_path_played_comes_to_what_gcbb_finds(seed, locality):
     assert found.joint_distance == pytest.approx(expected.joint_distance, abs=1e-9)
 
 
-@pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(20))
-def test_the_answer_of_gcbb_is_a_path_that_can_be_played_and_comes_to_the_same(seed, locality):
-    scan, landmarks, _, localities, _ = walks.easy(seed)
-    expected = gcbb(scan, landmarks, localities[locality])
-    walk = RelocationWalk(ALL, scan, landmarks, localities[locality])
-    while not walk.at_leaf:
-        walk.take(walk.action_of(int(expected.features[walk.measurement])))
-    found = walk.answer()
-    np.testing.assert_array_equal(found.features, expected.features)
-    np.testing.assert_allclose(found.pose, expected.pose, atol=1e-12)
-    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
-    assert found.joint_distance == pytest.approx(expected.joint_distance)
-    assert found.effort.nodes == 1 + len(scan) and found.effort.tries == 1
-
-
 def test_k_hides_candidates_and_says_so():
     scan, landmarks, *_ = walks.plant(3, n=12)
     wide = RelocationWalk(ALL, scan, landmarks)
