@@ -9,6 +9,7 @@ from slam_gym.geometry import compose
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.types import Array, Beams, Odometry
 from slam_gym.world.ray_casting import NOTHING, Packed, cast, outlines, wall_index
+from tests.oracles.statistics import nees_of_each
 
 BEARINGS = np.linspace(-math.pi, math.pi, 90, endpoint=False)
 REACH, SIGMA = 20.0, 0.03
@@ -43,17 +44,13 @@ def drive(walls: Packed, start: Array, motion: Array, ticks: int, seed: int) -> 
     return np.array(errors), np.array(covariances), np.array(drift)
 
 
-def nees(errors: Array, covariances: Array) -> float:
-    return float(np.einsum("ti,tij,tj->t", errors, np.linalg.inv(covariances), errors).mean()) / 3.0
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.03, -0.15])
 def test_in_a_hall_the_heading_is_kept_and_what_is_claimed_holds(turn: float) -> None:
     motion = np.array([0.05 if turn == 0.0 else 0.02, 0.0, turn])
     errors, covariances, drift = drive(HALL, np.array([-5.0, 1.0, 0.1]), motion, 150, seed=1)
     assert errors[:, 2].std() < 0.35 * drift[:, 2].std()
     assert abs(errors[:, 2].sum()) < 0.03  # where the wheels are off by .1 after so many ticks, as often as not by more
-    assert 0.5 < nees(errors, covariances) < 1.2
+    assert 0.5 < nees_of_each(errors, covariances).mean() / 3.0 < 1.2
     assert (np.linalg.eigvalsh(covariances) > 0.0).all()
     assert np.linalg.eigvalsh(np.diag(WHEELS**2) - covariances).min() > -1e-12  # it never knows less than the wheels
 
@@ -63,7 +60,7 @@ def test_the_way_along_a_corridor_without_ends_in_sight_remains_that_of_the_whee
     assert errors[:, 0] == pytest.approx(drift[:, 0], abs=2e-3)
     assert covariances[:, 0, 0] == pytest.approx(WHEELS[0] ** 2, rel=0.02)
     assert errors[:, 2].std() < 0.35 * drift[:, 2].std()
-    assert 0.5 < nees(errors, covariances) < 1.2
+    assert 0.5 < nees_of_each(errors, covariances).mean() / 3.0 < 1.2
 
 
 def test_out_of_reach_of_every_wall_the_wheels_have_the_word() -> None:

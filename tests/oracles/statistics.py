@@ -17,6 +17,11 @@ def anees_interval(count: int, dof: int, level: float = 0.95) -> tuple[float, fl
     return float(chi2.ppf(tail, n)) / n, float(chi2.ppf(1.0 - tail, n)) / n
 
 
+def nees_of_each(errors: Array, covariances: Array) -> Array:
+    """(n,) eᵀ P⁻¹ e of errors (n, d) with covariances (n, d, d)."""
+    return np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
+
+
 def random_covariance(rng: np.random.Generator, d: int, scale: float = 1.0) -> Array:
     """(d, d), of standard deviations of about `scale`."""
     root = rng.normal(0.0, scale, (d, d))

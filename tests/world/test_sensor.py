@@ -10,6 +10,7 @@ from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
 from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
 from slam_gym.world.ray_casting import NO_SEGMENTS, cast, wall_index
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, Sensor, SensorSpec
+from tests.oracles.statistics import nees_of_each
 
 SIDE = 40.0
 CLEAN = SensorSpec(clutter=0.0, detection=1.0, max_features=1000, field_of_view=2 * np.pi, range=8.0)
@@ -40,10 +41,6 @@ def scattered(seed=0, count=60):
 POSE = np.array([20.0, 20.0, 2.5])
 
 
-def nees(errors, covariances):
-    return np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
-
-
 def chi_square_band(dof, count):
     """Where the mean of `count` draws of χ²_dof lies, at four standard deviations."""
     return dof - 4 * np.sqrt(2 * dof / count), dof + 4 * np.sqrt(2 * dof / count)
@@ -60,7 +57,7 @@ def test_odometry_noise_is_what_its_covariance_says(motion):
     reports = [sensor.odometry(motion, rng) for _ in range(4000)]
     errors = np.array([report.motion for report in reports]) - motion.wheels
     low, high = chi_square_band(3, len(errors))
-    assert low < nees(errors, np.array([report.covariance for report in reports])).mean() < high
+    assert low < nees_of_each(errors, np.array([report.covariance for report in reports])).mean() < high
 
 
 def test_odometry_noise_adds_up_along_the_way_and_is_small_at_rest():
@@ -88,7 +85,7 @@ def test_odometry_stays_credible_while_the_robot_pushes():
             errors.append(relative(motion.moved, report.motion))
             covariances.append(report.covariance)
     assert len(errors) > 300
-    assert nees(np.array(errors), np.array(covariances)).mean() < 3.5
+    assert nees_of_each(np.array(errors), np.array(covariances)).mean() < 3.5
 
 
 @pytest.mark.parametrize(
@@ -116,7 +113,7 @@ def test_measurement_noise_is_what_its_covariance_says(heading):
     errors, covariances = np.concatenate(errors), np.concatenate(covariances)
     np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
     assert np.linalg.eigvalsh(covariances).min() > 0
-    distances, count = nees(errors, covariances), len(errors)
+    distances, count = nees_of_each(errors, covariances), len(errors)
     low, high = chi_square_band(2, count)
     assert low * 0.99 < distances.mean() < high * 1.01  # covariances are those of the measured range, not of the true
     assert (distances > 9.21).mean() == pytest.approx(0.01, abs=0.005)

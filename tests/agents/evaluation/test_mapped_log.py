@@ -33,6 +33,9 @@ from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.agents.evaluation import SPEC
 from tests.recordings import drive
 
+NOBODY, NOWHERE = np.empty(0), np.empty((0, 3))
+UNSURVEYED = dict(landmark_ids=NOBODY, landmarks=NOWHERE[:, 1:], reference_times=NOBODY, reference_poses=NOWHERE)
+
 
 @functools.cache
 def informed(seed: int) -> dict[str, float]:
@@ -55,13 +58,7 @@ def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -
         for of in ("", "_batch")
     )
     assert (batch < 1.05 * filtered).all()
-    log = replace(
-        drive(steps=120),
-        landmark_ids=np.empty(0),
-        landmarks=np.empty((0, 2)),
-        reference_times=[],
-        reference_poses=np.empty((0, 3)),
-    )
+    log = drive(steps=120, **UNSURVEYED)
     at_rest = replace(log, motion_covariances=log.motion_covariances * (np.arange(120) != 40)[:, None, None])
     for each in (log, at_rest, replace(log, times=np.floor(log.times))):
         assert measure(map_log(surveyed(each), "true_association", SPEC))["ate_batch"] < 0.01
@@ -131,11 +128,7 @@ def test_where_headings_are_unknown_only_alignment_compares(mapped) -> None:
 
 def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identities() -> None:
     log = drive()
-    unknown = replace(
-        log, reference_times=np.empty(0), reference_poses=np.empty((0, 3)), landmark_ids=np.empty(0, np.int64),
-        landmarks=np.empty((0, 2)),
-    )  # fmt: skip
-    found = surveyed(unknown)
+    found = surveyed(drive(**UNSURVEYED))
     assert surveyed(log) is log and len(found.landmarks) == len(np.unique(log.sources[log.sources >= 0]))
     true = log.landmarks[np.searchsorted(log.landmark_ids, found.landmark_ids)]
     assert landmark_rmse(found.landmarks, true, aligned=True) < 0.1
