@@ -16,9 +16,7 @@ from slam_gym.scenarios import Scenario, get_scenario
 
 SCENARIOS = ("office-small", "office", "aliased", "hall", "crowd")
 Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
-Choice = Callable[
-    [Any, dict[str, np.ndarray], dict[str, Any]], Any
-]  # from environment, observation and info to an action
+Choice = Callable[[Any, dict[str, np.ndarray], dict[str, Any]], Any]  # environment, observation and info to an action
 
 
 def bare(name: str, **options: Any) -> Any:

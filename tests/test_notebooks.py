@@ -22,7 +22,6 @@ def committed(request: pytest.FixtureRequest) -> Any:
 @pytest.fixture
 def headless(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
 def executed(name: str) -> Any:

@@ -76,8 +76,5 @@ def test_damage_numbers_that_are_not_finite_and_objects_are_refused(path: Path) 
 def test_every_archive_that_ships_has_a_card_that_fits(name: str) -> None:
     card = weights.card_of(name)
     found = load(name, card.version, card.inputs, card.shapes)
-    assert (
-        found.card.command.startswith(("slam-gym reproduce", "slam-gym train"))
-        and found.card.scenarios
-        and found.card.seeds
-    )
+    assert found.card.command.startswith(("slam-gym reproduce", "slam-gym train"))
+    assert found.card.scenarios and found.card.seeds
