@@ -107,7 +107,8 @@ class Slam:
         self._weighs_all = False  # whether the associator of the last scan returns an experience
         self._odometry = STILL  # the last
         self._moved = math.inf  # [m] since the last scan that the map learned from
-        self._newest = NO_ID  # id of the last feature of the map, which changes where others remove any: ids ascend
+        # the graph, its size and the id of its last feature, which changes where others remove any: ids ascend
+        self._remembered = self.covisibility, 0, NO_ID
         self._adopted = _NO_FEATURES  # ids of features that others have added to the map
         self._linked = math.nan  # [m] the reach by which these were last linked
         self._warned = False
@@ -139,8 +140,9 @@ class Slam:
         """
         check_inputs(odometry, scan)
         self.map.spec = self.spec.map
-        known = self.covisibility.n
-        if known and (self.map.n < known or self.map.arrays[2][ekf.IDS, known - 1] != self._newest):
+        known, (graph, count, newest) = self.covisibility.n, self._remembered
+        ours = count > 0 and known == count and graph is self.covisibility
+        if self.map.n < known or (ours and self.map.arrays[2][ekf.IDS, count - 1] != newest):
             raise ValueError("map: features were removed by others than this Slam")
         if self.map.n != known:  # the map was loaded, or others have added features
             self._adopt()
@@ -363,7 +365,8 @@ class Slam:
 
     def _remember(self) -> None:
         """Note the id of the last feature, after the map has changed."""
-        self._newest = int(self.map.arrays[2][ekf.IDS, self.map.n - 1]) if self.map.n else NO_ID
+        newest = int(self.map.arrays[2][ekf.IDS, self.map.n - 1]) if self.map.n else NO_ID
+        self._remembered = self.covisibility, self.map.n, newest
 
     def _link_adopted(self, reach: float) -> None:
         """Add an edge between any two features added by others that one scan with this `reach` [m] may see."""
