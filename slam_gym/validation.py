@@ -94,6 +94,7 @@ class Checked:
         for name in (name for name, kinds in types.items() if bool in kinds):
             if not isinstance(value := getattr(self, name), (bool, np.bool_)):
                 raise ValueError(f"{kind}.{name}={value!r}: expected True or False")
+            object.__setattr__(self, name, bool(value))
 
 
 @functools.cache

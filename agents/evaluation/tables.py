@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
-from scipy.stats import binomtest
+from scipy.stats import beta
 
 from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval, interquartile_mean, mean
 from slam_gym.simulation.judged import CEILING
@@ -20,7 +20,7 @@ from slam_gym.types import Array
 
 Value = Interval | float | int
 FEWEST = 10  # least number of worlds for an interval
-INTERVALS = ", 95 % bootstrap interval"
+INTERVALS = ", 95 % interval"
 Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
 
@@ -124,11 +124,11 @@ def estimate(values: Any, *, statistic: Statistic = interquartile_mean, resample
     values = values[np.isfinite(values)]
     if len(values) < FEWEST:
         return Interval(float(statistic(values)) if len(values) else math.nan, math.nan, math.nan)
-    if (
-        statistic is share and np.isin(values, (0.0, 1.0)).all()
-    ):  # Clopper–Pearson: a bootstrap of no event has no width
-        exact = binomtest(int(values.sum()), len(values)).proportion_ci()
-        return Interval(float(values.mean()), exact.low, exact.high)
+    # Clopper–Pearson, also for means over settings: a bootstrap of no event has no width
+    if statistic is share and (values >= 0.0).all() and (values <= 1.0).all():
+        n, k = len(values), float(values.sum())
+        low, high = beta.ppf(0.025, k, n - k + 1.0), beta.ppf(0.975, k + 1.0, n - k)
+        return Interval(k / n, float(low) if k > 0.0 else 0.0, float(high) if k < n else 1.0)
     return bootstrap_interval(values, np.random.default_rng(0), statistic=statistic, resamples=resamples)
 
 

@@ -106,7 +106,7 @@ PANELS = {
     "associators": columns("precision", "recall", "map_error_aligned", "microseconds"),
 }
 MEAN = "mean"  # over all scenarios
-PAIRED = "paired over the episodes of all scenarios; negative: the row makes the better map; bold: not 0 by chance"
+PAIRED = "paired over the worlds that all scenarios have; negative: the row makes the better map; bold: not 0 by chance"
 
 
 def drives_page(results: Results, folder: Path) -> Page:
@@ -121,7 +121,7 @@ def drives_page(results: Results, folder: Path) -> Page:
             parts.append(Maps(f"Maps at the end of the first episode of {table.title}", drawn))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
-        parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]
+        parts += [Picture("Over time: interquartile mean over worlds, 95 % bootstrap band", curves)]
     if len(groups) > 1:
         error = "map_error" if drivers else "map_error_aligned"  # drivers are rewarded by the former
         gaps: Rows = {
@@ -180,10 +180,13 @@ def headline(frame: pd.DataFrame) -> list[Table]:
         truth = f"{CEILING}{join}{relocation}"
         if associator != CEILING and truth in groups:
             gaps[name] = {setting: difference(some, groups[truth], error.key, mean) for setting, some in parts.items()}
-    caption = f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}"
+    caption = (
+        f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}; means are over the "
+    )
+    caption += "worlds that all scenarios have"
     tables = [Table("Aligned map error, mean", "associator", [*means, raw, lost], errors, caption)]
     if gaps:
-        caption = f"mean over the same episodes{INTERVALS}"
+        caption = f"mean over the same worlds{INTERVALS}"
         title = "Aligned map error above that of true association with the same relocation"
         tables.insert(0, Table(title, "associator", means, gaps, caption, differences=True))
     return tables

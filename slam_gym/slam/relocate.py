@@ -13,6 +13,7 @@ from slam_gym.association import gcbb, max_clique, random_sampling, resolve_relo
 from slam_gym.association.acceptance import log_expected_pairings, min_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction, predict
+from slam_gym.geometry import relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, restricted, within
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -32,7 +33,8 @@ from slam_gym.types import (
 
 _CHANCE = 1e-6  # greatest probability of so many accidental pairings in a scan: the searches themselves admit 0.02
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
-_MARGIN = 3  # least number of pairings above those at any other place
+_MARGIN = 3  # least number of pairings above those at any other place …
+_SAME_PLACE = 0.5  # [m], [rad] … farther away than this: a place may be mapped twice
 _EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
 _BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
@@ -252,9 +254,9 @@ def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisi
 
     A lost robot searches scan after scan, and rooms resemble each other, so that an answer must pass more than the
     rule of the search itself: the probability of so many accidental pairings in a scan must be less than 10⁻⁶, and most
-    measurements, and most features that should be in view from the pose found, must be paired. Besides, no place
-    without its features may explain the scan with fewer than `_MARGIN` pairings less, unless that were accidental: of
-    two rooms that are alike, one loses a pairing to noise in every other scan.
+    measurements, and most features that should be in view from the pose found, must be paired. Besides, no other place,
+    without these features, may explain the scan with fewer than `_MARGIN` pairings less, unless that were accidental:
+    of two rooms that are alike, one loses a pairing to noise in every other scan.
     Raises ValueError for an unknown search or locality.
     """
     if locality not in (None, *LOCALITIES):
@@ -281,7 +283,9 @@ def _relocate(
     if len(others) < least:
         return found
     rival = _search(find, scan, m.landmarks(others), restricted(locality, others), least)
-    return found if rival.pairings < least else None
+    x, y, turn = relative(found.pose, rival.pose)  # NaN where there is none
+    is_elsewhere = math.hypot(x, y) > _SAME_PLACE or abs(turn) > _SAME_PLACE
+    return None if rival.pairings >= least and is_elsewhere else found
 
 
 def _search(find: Relocator, scan: Scan, landmarks: Landmarks, locality: Locality | None, least: int) -> Relocation:

@@ -106,7 +106,7 @@ class Slam:
         self._experience: Experience | None = None  # what the associator has learned so far
         self._weighs_all = False  # whether the associator of the last scan returns an experience
         self._odometry = STILL  # the last
-        self._moved = math.inf  # [m] since the last scan that the map learned from
+        self._moved = math.inf  # [m] since the last scan that was believed and measured anything
         # the graph, its size and the id of its last feature, which changes where others remove any: ids ascend
         self._remembered = self.covisibility, 0, NO_ID
         self._adopted = _NO_FEATURES  # ids of features that others have added to the map

@@ -12,6 +12,7 @@ from slam_gym.mapping.locality import (
     hypothesis_count,
     linked,
     locality_sizes,
+    restricted,
     same_local_map,
     within,
 )
@@ -71,6 +72,17 @@ def test_local_maps_equal_the_definition() -> None:
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_among_some_features_the_relation_is_that_of_the_whole_map() -> None:
+    rng = np.random.default_rng(0)
+    pairs = np.array([pair for pair in itertools.combinations(range(12), 2) if rng.random() < 0.2])
+    for hops in (1, 2):
+        locality, chosen = linked(12, pairs, hops), np.sort(rng.permutation(12)[:7])
+        among = restricted(locality, chosen)
+        assert among is not None
+        np.testing.assert_array_equal(dense(among), dense(locality)[np.ix_(chosen, chosen)])
+    assert restricted(None, chosen) is None
 
 
 def test_what_makes_no_sense_is_refused() -> None:

@@ -45,6 +45,10 @@ def test_nobody_is_put_into_furniture() -> None:
     kidnapping = Kidnapping(KidnappingSpec(inside=False), 100)
     pose = kidnapping.destination(50, TRAIL, free, np.random.default_rng(0))
     assert pose is not None and pose[0] == 18.0 and destination(inside=False)[0] == 19.0
+    for seed in range(30):
+        free, kidnapping = (CELLS, 0.2, np.array([[2.0, 0.0, 1.5, 1.5, 0.0]])), Kidnapping(KidnappingSpec(), 100)
+        pose = kidnapping.destination(50, TRAIL, free, np.random.default_rng(seed))
+        assert pose is not None and abs(pose[0] - 2.0) > 0.9
 
 
 def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:

@@ -52,7 +52,7 @@ def test_a_loaded_map_is_gone_on_in_and_what_others_have_removed_is_noticed(tmp_
     slam, places = slam_of(), np.random.default_rng(0).uniform(-9.0, 9.0, (300, 2))
     slam.step(STILL, scan_of(places))
     slam.map.save(tmp_path / "map.npz")
-    again = slam_of(map=MapSpec(confirmations=np.int32(3)), recent=np.int64(5))
+    again = slam_of(map=MapSpec(confirmations=np.int32(3), right_invariant=np.True_), recent=np.int64(5))
     again.map = StochasticMap.load(tmp_path / "map.npz")
     step = again.step(STILL, scan_of(places[::7]))
     assert step.prediction.confirmations == 3
@@ -76,6 +76,22 @@ def test_a_robot_at_rest_learns_from_errors_that_stay_as_if_it_had_measured_once
             told[length, k] = np.linalg.det(slam.map.pose_covariance) ** (1.0 / 3.0)
     assert told[0.0, 0] == told[1.0, 0]  # after a metre the errors are new
     assert told[1.0, 19] > 0.9 * told[1.0, 0] and told[0.0, 19] < 0.6 * told[0.0, 0]
+
+
+def test_ten_scans_on_a_metre_tell_as_much_as_one_where_errors_stay_that_long() -> None:
+    places, variances = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), []
+    for steps in (1, 10):
+        slam = slam_of(error_length=1.0)
+        slam.step(Odometry.from_motion([0, 0, 0], 0.0), scan_of(places))
+        for k in range(steps):
+            motion = Odometry.from_motion([1.0 / steps, 0.0, 0.0], 0.0 if k else 0.2)
+            slam.step(motion, scan_of(places - [(k + 1.0) / steps, 0.0]))
+        variances.append(np.linalg.det(slam.map.pose_covariance) ** (1.0 / 3.0))
+    assert variances[1] == pytest.approx(variances[0], rel=0.2)
+    before, more = slam_of(error_length=1.0), np.vstack([places, [[3.0, 20.0]]])
+    for shown in (places, more):  # a new feature is as certain as its measurement
+        before.step(Odometry.from_motion([0, 0, 0], 0.0), scan_of(shown))
+    np.testing.assert_allclose(before.map.covariances[12], scan_of(more).covariances[12])
 
 
 @pytest.mark.parametrize("first", [[], [[0.5, 0.0]], [[np.nan, 1.0]]])

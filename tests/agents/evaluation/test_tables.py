@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
+from scipy.stats import binomtest
 
 from agents.evaluation.tables import (
     Column,
@@ -65,7 +66,10 @@ def test_worlds_that_settings_share_count_once():
         found = estimate_of(pd.DataFrame(rows), "f1", mean, resamples=400)
         covered += found.low <= 0.3 <= found.high
     assert 0.87 < covered / 200 < 0.99  # 0.75 if resampled in each setting
-    assert estimate([0.0] * 12, statistic=share).high == pytest.approx(1.0 - 0.025 ** (1.0 / 12.0))  # exact
+    none, one, half = (estimate([first] + [0.0] * 11, statistic=share) for first in (0.0, 1.0 / 7.0, 1.0))
+    exact = binomtest(1, 12).proportion_ci()
+    assert none.high == pytest.approx(1.0 - 0.025 ** (1.0 / 12.0)) and none.high < one.high < half.high
+    assert (half.low, half.high) == pytest.approx((exact.low, exact.high))
 
 
 def test_a_few_values_have_no_interval_and_are_told_from_nothing() -> None:
@@ -75,7 +79,7 @@ def test_a_few_values_have_no_interval_and_are_told_from_nothing() -> None:
     assert best_names({"a": alone, "b": apart}, LOWER) == set()
     assert np.isfinite(estimate([0.2, 0.4] * 5).low)
     few, many = (Table("Few", "name", [LOWER], {"a": {"error": value}}) for value in (alone, estimate([0.2, 0.4] * 5)))
-    assert few.note == "interquartile mean" and many.note == "interquartile mean, 95 % bootstrap interval"
+    assert few.note == "interquartile mean" and many.note == "interquartile mean, 95 % interval"
 
 
 def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_place():

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import ttest_1samp
 from typer.testing import CliRunner
 
 from agents.leaderboard import MARKS, app, with_tables
@@ -89,6 +90,11 @@ def test_an_interval_covers_the_loss_as_often_as_it_says_where_columns_share_the
         (row,) = rows([an_entry("a", 0.0)._replace(losses=pd.Series(rng.normal(0.5, 0.1, len(keys)) + of_world, keys))])
         covered += row.loss.low <= 0.5 <= row.loss.high
     assert 0.9 <= covered / 200 < 0.99
+    values = rng.normal(0.5, 0.1, 8)
+    alone = pd.Series(np.tile(values, 8), pd.MultiIndex.from_tuples(sorted(keys)))  # alike in all columns
+    (row,) = rows([an_entry("a", 0.0)._replace(losses=alone)])
+    t_interval = ttest_1samp(values, 0.0).confidence_interval()
+    assert (row.loss.low, row.loss.high) == pytest.approx((t_interval.low, t_interval.high))
 
 
 def test_the_ceiling_takes_nobodys_place_and_nobody_is_behind_it():
