@@ -156,7 +156,10 @@ def check_inputs(odometry: Odometry, scan: Scan) -> None:
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the first faulty measurement of a scan and its fault."""
-    check_measurements(*scan.arrays[:2])
+    points, covariances = scan.points, scan.covariances
+    if not (points.flags.carray and covariances.flags.carray):
+        points, covariances, *_ = scan.arrays
+    check_measurements(points, covariances)
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:

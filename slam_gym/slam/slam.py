@@ -150,7 +150,8 @@ class Slam:
             check_scan(scan)
         prediction = self._predict(odometry, scan, self._most_accidental)
         self._odometry = odometry
-        self._moved += math.hypot(*odometry.motion[:2])
+        if self.spec.error_length > 0.0:
+            self._moved += math.hypot(*odometry.motion[:2])
         return prediction
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
@@ -206,7 +207,8 @@ class Slam:
         self._experience = hypothesis.experience or self._experience
         m.learned(added, len(removed))
         graph.n = m.n
-        self._remember()
+        if added or len(removed):
+            self._remember()
         self._learned_at.append(m.step)
         if len(removed):
             self.tracker.renumber(became)

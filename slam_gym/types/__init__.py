@@ -57,8 +57,9 @@ class Odometry:
     @property
     def arrays(self) -> tuple[Array, Array]:
         """Motion and covariance in the layout for which loops are compiled, as `Scan.arrays`."""
-        arrays = self.motion, self.covariance
-        return arrays if all(array.flags.carray for array in arrays) else (compact(arrays[0]), compact(arrays[1]))
+        motion, covariance = self.motion, self.covariance
+        fit = motion.flags.carray and covariance.flags.carray
+        return (motion, covariance) if fit else (compact(motion), compact(covariance))
 
     @classmethod
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
