@@ -90,7 +90,7 @@ def sound(rows: pd.DataFrame) -> str:
 
 
 def _mean(values: pd.Series) -> float:
-    """NaN where a drive has no batch solution: its other numbers are those of all drives."""
+    """The mean, NaN where a drive has no batch solution, so that all columns are over the same drives."""
     return float(values.mean(skipna=False))
 
 

@@ -98,8 +98,8 @@ def carry_out(evaluation: Evaluation, out: Path, jobs: int | None = None, resume
 
     def write_metadata() -> None:
         head = {"kind": evaluation.kind, "commands": commands, "complete": done >= order.keys()}
-        models = {"models": known | evaluation.about.get("models", {})}
-        more = {"conditions": evaluation.conditions, **evaluation.about, **models, "versions": versions()}
+        about = evaluation.about | {"models": known | evaluation.about.get("models", {})}
+        more = {"conditions": evaluation.conditions, **about, "versions": versions()}
         write_whole(out / METADATA, json.dumps(plain(head | more), indent=1, ensure_ascii=False) + "\n")
 
     out.mkdir(parents=True, exist_ok=True)

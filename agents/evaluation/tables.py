@@ -153,7 +153,7 @@ def _over_settings(numbers: pd.Series) -> pd.Series:
 
 
 def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value]:
-    """Column key → estimate over the episodes of `frame`."""
+    """Column key → estimate over the worlds of `frame`."""
     return {c.key: estimate_of(frame, c.key, share if c.rare else interquartile_mean) for c in columns}
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t
+from scipy.stats import t as student_t
 
 from agents.evaluation.pipeline import METADATA, Results, read_results
 from agents.evaluation.records import undamaged
@@ -121,7 +121,8 @@ def _mean_of_means(losses: pd.Series) -> Interval:
     weights, sizes = 1.0 / (columns.ngroups * columns.transform("size")), settings.transform("size")
     deviations = (known - settings.transform("mean")) * np.sqrt(sizes / (sizes - 1.0))
     of_worlds = (weights * deviations).groupby(level=2).sum(min_count=1)
-    mean, half = float((weights * known).sum()), t.ppf(0.975, len(of_worlds) - 1) * math.sqrt((of_worlds**2).sum())
+    mean = float((weights * known).sum())
+    half = student_t.ppf(0.975, len(of_worlds) - 1) * math.sqrt((of_worlds**2).sum())
     return Interval(mean, mean - half, mean + half)
 
 

@@ -180,10 +180,8 @@ def headline(frame: pd.DataFrame) -> list[Table]:
         truth = f"{CEILING}{join}{relocation}"
         if associator != CEILING and truth in groups:
             gaps[name] = {setting: difference(some, groups[truth], error.key, mean) for setting, some in parts.items()}
-    caption = (
-        f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}; means are over the "
-    )
-    caption += "worlds that all scenarios have"
+    caption = f"mean map error after rigid alignment{INTERVALS}; {raw.title}: without it; {LOST_MEANS}"
+    caption += "; means are over the worlds that all scenarios have"
     tables = [Table("Aligned map error, mean", "associator", [*means, raw, lost], errors, caption)]
     if gaps:
         caption = f"mean over the same worlds{INTERVALS}"

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from slam_gym.geometry import relative
 from slam_gym.scenarios import KidnappingSpec
-from slam_gym.types import Array, BoolArray
+from slam_gym.types import Array
 from slam_gym.world.ray_casting import box_distance
 
 POSITION, HEADING = 0.5, math.radians(10.0)  # [m], [rad] greatest error of a right pose
@@ -39,18 +39,17 @@ class Kidnapping:
             return None
         self.happened, trail, (cells, radius, furniture) = tick, np.array(been)[:, :2], free
 
-        def is_clear(places: Array) -> BoolArray:
-            """(c,) whether the robot would stand clear of furniture at places (c, 2)."""
-            return np.array([box_distance(x, y, furniture) >= radius for x, y in places])
+        def clear(places: Array) -> Array:
+            """The places (c, 2) at which the robot would not stand in furniture; all of them if there is none."""
+            is_clear = np.array([box_distance(x, y, furniture) >= radius for x, y in places])
+            return places[is_clear] if is_clear.any() else places
 
         if self._spec.inside:  # at least so far from the last place, or as far as possible
             distances = np.hypot(*(trail - trail[-1]).T)
             far = np.flatnonzero(distances >= min(self._spec.distance, float(distances.max())))
-            free_of_it = far[is_clear(trail[far])]
-            place = trail[rng.choice(free_of_it if len(free_of_it) else far)]
+            place = rng.choice(clear(trail[far]))
         else:  # the place that is farthest from all where the robot has been
-            clear = cells[is_clear(cells)]
-            cells = clear if len(clear) else cells
+            cells = clear(cells)
             place = cells[cKDTree(trail[::10]).query(cells)[0].argmax()]
         return np.append(place, rng.uniform(-math.pi, math.pi))
 

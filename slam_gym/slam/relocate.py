@@ -255,8 +255,8 @@ def relocate_by(search: str | Relocator, locality: LocalityName | None = "covisi
     A lost robot searches scan after scan, and rooms resemble each other, so that an answer must pass more than the
     rule of the search itself: the probability of so many accidental pairings in a scan must be less than 10⁻⁶, and most
     measurements, and most features that should be in view from the pose found, must be paired. Besides, no other place,
-    without these features, may explain the scan with fewer than `_MARGIN` pairings less, unless that were accidental:
-    of two rooms that are alike, one loses a pairing to noise in every other scan.
+    without these features, may explain the scan with up to two pairings less, unless that were accidental: of two rooms
+    that are alike, one loses a pairing to noise in every other scan.
     Raises ValueError for an unknown search or locality.
     """
     if locality not in (None, *LOCALITIES):

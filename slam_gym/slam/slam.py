@@ -53,8 +53,8 @@ class SlamSpec(Checked):
     # all pairings with old features are rejected; 1: never
     trust_marginals: bool = True  # associators that weigh all hypotheses are exempt from `max_accidental_matches`, and
     # say which measurements are new; both rules need an atlas
-    error_length: float = 0.0  # [m] by which the robot moves until the errors of its measurements are new; pairings of
-    # a scan after a shorter motion have that fraction of their information
+    error_length: float = 0.0  # [m] motion after which errors of measurements are independent of those before; after a
+    # shorter motion, a pairing has that fraction of its information
     negative_evidence: bool = False  # where the view is known, remove features that should be in view and are not
     # measured (`slam_gym.slam.negative_evidence`); needs `relocate`, which notices that the pose is wrong
 

@@ -118,7 +118,7 @@ def test_what_gcbb_finds_can_be_played_and_comes_to_the_same(name, locality):
         found = env.walk.answer()
         np.testing.assert_array_equal(found.features, expected.features)
         np.testing.assert_allclose(found.pose, expected.pose, atol=1e-9)
-        np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
+        np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
         assert found.effort.nodes == 1 + len(env.kidnapped.scan) and found.effort.tries == 1
         assert found.joint_distance == pytest.approx(expected.joint_distance)
         assert found.min_pairings == expected.min_pairings
