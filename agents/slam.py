@@ -33,7 +33,7 @@ def main(
     from agents.evaluation.mapped_log import map_log
     from agents.evaluation.tables import counted
     from slam_gym.recordings import open_recordings, write_tum
-    from slam_gym.rendering.plot import BLUE, GREEN, INK, YELLOW, plot_map, plot_path
+    from slam_gym.rendering.plot import BLUE, GREEN, GREY, INK, RED, YELLOW, plot_map, plot_path
     from slam_gym.scenarios import slam_for
     from slam_gym.simulation.judged import CEILING
     from slam_gym.types import UNLABELLED
@@ -56,11 +56,15 @@ def main(
         table.to_csv(files[0], index=False, float_format="%.9g")
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
-        ax = plot_path(poses, figure.subplots())
-        for m, colour in reversed(list(zip(slam.maps, cycle((BLUE, GREEN, YELLOW, INK))))):  # the active map on top
-            plot_map(m, ax, colour=colour)
-        title = f"{recording.name}: {counted(len(table), 'feature')} by {associator}"
-        ax.set(title=title, xlabel="x [m]", ylabel="y [m]")
+        ax = plot_path(poses, figure.subplots(), label="path")
+        for number, colour in reversed(list(zip(range(len(slam.maps)), cycle((BLUE, GREEN, YELLOW, INK))))):
+            ax.plot([], [], "o", ms=3.0, mfc="none", mec=colour, label=f"map {number}, ellipses of 2σ")
+            plot_map(slam.maps[number], ax, colour=colour)  # the active map on top
+        ax.plot([], [], "o", ms=3.0, mfc="none", mec=GREY, label="not confirmed")
+        ax.plot([], [], ">", color=RED, label="robot")
+        figure.legend(loc="outside lower center", ncols=5, frameon=False)
+        ax.set_title(f"{recording.name}: {counted(len(table), 'feature')} by {associator}", parse_math=False)
+        ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
         print(f"{counted(len(table), 'feature')}, {counted(len(slam.maps), 'map')}")
         if len(slam.maps) > 1:

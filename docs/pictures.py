@@ -154,7 +154,7 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     axes[0].plot([], [], "x", color=INK, ms=6, mew=1.6, label="measurement")
     axes[0].plot([], [], color=GREEN, lw=2, label="paired rightly")
     axes[0].plot([], [], color=RED, lw=2, ls="--", marker="x", ms=8, mew=2.8, label="paired wrongly")
-    axes[0].legend(frameon=False, loc="upper right")
+    axes[0].legend(frameon=False, loc="upper right", bbox_to_anchor=(1.0, 0.85))
     return answers["JCBB"]
 
 

@@ -136,7 +136,8 @@ def markdown(entries: Sequence[Entry]) -> str:
 
 def _table(protocol: dict[str, Any], ranking: Sequence[Row]) -> str:
     quick = protocol["quick"]  # so few worlds tell no places and no intervals
-    heads = ["", "entry", "loss", *([] if quick else ["behind the first"]), *map(_escaped, ranking[0].columns)]
+    heads = ["", "entry", "loss"] if quick else ["place", "entry", "loss", "behind the first"]
+    heads += map(_escaped, ranking[0].columns)
     lines = [f"### {protocol['role'].capitalize()}s", ""]
     tried = ", a few worlds to try an entry" if quick else ""
     lines += [f"Protocol {protocol['version']}{tried}, hash `{protocol['hash']}`.", ""]

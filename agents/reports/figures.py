@@ -44,16 +44,22 @@ def colours(names: Sequence[str]) -> Colours:
     return dict(zip((name for name in names if name != CEILING), cycle(PALETTE))) | {CEILING: INK}
 
 
+def legible(name: str) -> str:
+    """A name as plots show it: without mathematics, and never with a leading `_`, which would hide it in legends."""
+    shown = display_name(name).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown
+
+
 def _figure(height: float) -> Figure:
     """An empty figure of `height` [inches]."""
     return Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
 
 
-def _line(axis: Axes, x: Array, intervals: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
-    """Draw estimates with the band of their intervals; the ceiling is dashed."""
+def _line(axis: Axes, x: Array, intervals: Iterable[Interval], name: str, colour: str, **marks: Any) -> None:
+    """Draw estimates, with `marks`, and the band of their intervals; the ceiling is dashed, without marks."""
     middle, low, high = np.array([(value.estimate, value.low, value.high) for value in intervals]).T
-    style, marker = ("--", "") if name == CEILING else ("-", marker)
-    axis.plot(x, middle, style, marker=marker, markersize=5, color=colour, linewidth=1.9, label=display_name(name))
+    style: dict[str, Any] = {"linestyle": "--"} if name == CEILING else marks
+    axis.plot(x, middle, **style, markersize=5, color=colour, linewidth=1.9, label=legible(name))
     axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
 
 
@@ -78,7 +84,7 @@ def dot_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Figur
             ends = np.floor(np.log10(times.min())), np.ceil(np.log10(times.max()) + 1e-9)
             axis.set(xscale="log", xlim=np.power(10.0, ends))
             axis.xaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_yticks(range(len(groups)), [display_name(name) for name in groups])
+    axes[0].set_yticks(range(len(groups)), [legible(name) for name in groups])
     axes[0].set_ylim(len(groups) - 0.5, -0.5)  # the first on top
     return figure
 
@@ -90,12 +96,13 @@ def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Fig
     end = max(own["ticks"].max() for own in groups.values())
     grid = np.linspace(0.0, end, CURVE_POINTS)
     for axis, column in zip(axes, shown):
-        for name, own in groups.items():
+        for (name, own), marker in zip(groups.items(), cycle(MARKERS)):
             curves = [json.loads(cell) for cell in own["curve"]]
             # after the end of an episode, its curve stays constant
             at_grid = pd.DataFrame([np.interp(grid, curve["ticks"], curve[column.key]) for curve in curves], own.index)
             frame = own[["setting", "episode"]].join(at_grid)
-            _line(axis, grid, [estimate_of(frame, k, resamples=1000) for k in at_grid], name, colour[name])
+            bands = [estimate_of(frame, k, resamples=1000) for k in at_grid]
+            _line(axis, grid, bands, name, colour[name], marker=marker, markevery=10)
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6))
@@ -125,7 +132,7 @@ def capability_bars(scores: Mapping[str, Mapping[str, Interval]], colour: Colour
     axis = figure.subplots()
     errors = np.abs(np.stack([estimates - low, high - estimates], axis=1)).transpose(2, 1, 0)  # (names, 2, groups)
     style: dict[str, Any] = {"width": 0.84, "rot": 0, "legend": False, "ecolor": INK}
-    estimates.rename(columns=display_name).plot.bar(ax=axis, yerr=errors, color=[colour[n] for n in names], **style)
+    estimates.rename(columns=legible).plot.bar(ax=axis, yerr=errors, color=[colour[n] for n in names], **style)
     axis.tick_params(axis="x", length=0)
     axis.grid(visible=False, axis="x")
     axis.set(ylim=(0.0, 1.02), ylabel="score (1 = no mistake)")
@@ -138,7 +145,7 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
     figure = _figure(3.5)
     axis, knobs = figure.subplots(), list(max(curves.values(), key=len))  # an unfinished curve has not all of them
     for (name, curve), marker in zip(curves.items(), cycle(MARKERS)):
-        _line(axis, np.array([knobs.index(knob) for knob in curve]), curve.values(), name, colour[name], marker)
+        _line(axis, np.array([knobs.index(knob) for knob in curve]), curve.values(), name, colour[name], marker=marker)
     axis.set_xticks(range(len(knobs)), [f"{knob:g}" for knob in knobs])
     axis.set(xlabel=label, ylabel="score", ylim=(-0.02, 1.04))
     figure.legend(loc="outside right upper")
@@ -164,12 +171,14 @@ def maps(errors: Frames, features: Frames, reference: Array, landmarks: Array, c
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
     handles: dict[str, Any] = {}
     for axis, (name, error) in zip(axes, errors.items()):
-        axis.plot(*reference.T, color="#aeb8c2", linewidth=2.2, label="reference")
-        axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
+        axis.plot(*reference.T, color="#d3dae1", linewidth=3.0, label="reference")
+        axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9, label="path")
         _draw_features(axis, features[name], landmarks)
-        axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
+        axis.set_title(legible(name), fontsize=10, loc="left", color=colour[name])
         axis.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         handles = dict(zip(*reversed(axis.get_legend_handles_labels()))) | handles
+    for axis in axes[max(len(errors) - across, 0) : len(errors)]:
+        axis.tick_params(labelbottom=True)
     for axis in axes[len(errors) :]:
         axis.set_visible(False)
     figure.supxlabel("x [m]", fontsize=10)
@@ -208,8 +217,9 @@ def errors_over_time(errors: Frames, colour: Colours) -> Figure:
     """Distance to the reference after alignment, over the time of the log."""
     figure = _figure(3.6)
     axis = figure.subplots()
-    for name, error in errors.items():
-        axis.plot(error["time"], error["error"], color=colour[name], linewidth=1.1, label=display_name(name))
+    for (name, error), marker in zip(errors.items(), cycle(MARKERS)):
+        look: dict[str, Any] = {"color": colour[name], "marker": marker, "markevery": 0.1, "markersize": 5}
+        axis.plot(error["time"], error["error"], linewidth=1.1, label=legible(name), **look)
     every = np.concatenate([error["error"] for error in errors.values()])
     far = every.max() > 4.0 * np.quantile(every, 0.95)  # a reference that jumps, or an associator that got lost
     axis.set(yscale="log" if far else "linear", ylim=(0.5 * np.quantile(every, 0.05) + 1e-9 if far else 0.0, None))

@@ -53,7 +53,7 @@ def film(
     """
     compared = [replace(arguments, associator=name) for name in associators] or [arguments]
     reels = [_shots(each, driver, episode) for each in compared]
-    above = [np.hstack([_heading(display_name(name)) for name in associators])] if associators else []
+    above = [[_heading(display_name(name))] for name in associators] or [[]]
     path.parent.mkdir(parents=True, exist_ok=True)
     mp4 = {"codec": "libx264", "quality": 6, "macro_block_size": 2, "ffmpeg_log_level": "error"}
     with imageio.get_writer(path, fps=RATE, **mp4) as writer:
@@ -62,7 +62,7 @@ def film(
             now = [reel.get(tick) for reel in reels]
             shown = [new or old for new, old in zip(now, shown)]  # the latest of each episode
             pictures = [np.frombuffer(zlib.decompress(packed), np.uint8).reshape(-1, SIZE[0], 3) for packed, _ in shown]
-            picture = np.vstack([*above, np.hstack(pictures)])
+            picture = _beside([np.vstack([*heading, each]) for heading, each in zip(above, pictures)])
             for _ in range(max(shot[1] for shot in now if shot)):
                 writer.append_data(picture)
     imageio.imwrite(path.with_suffix(".png"), picture)
@@ -90,6 +90,15 @@ def _shots(arguments: ExploreArguments, driver: Driver, episode: int) -> dict[in
     take(run.episode.ticks + 1, RATE)
     env.close()
     return shots
+
+
+def _beside(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Pictures of one size two by two; the last stands alone if their number is odd."""
+    if len(pictures) == 1:
+        return pictures[0]
+    blank = np.full_like(pictures[0], 255)
+    pairs = zip(pictures[::2], [*pictures[1::2], blank])
+    return np.vstack([np.hstack(pair) for pair in pairs])
 
 
 def _heading(words: str) -> NDArray[np.uint8]:

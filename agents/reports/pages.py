@@ -121,7 +121,7 @@ def drives_page(results: Results, folder: Path) -> Page:
             parts.append(Maps(f"Maps at the end of the first episode of {table.title}", drawn))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
-        parts += [Picture("Over time: interquartile mean over worlds, 95 % bootstrap band", curves)]
+        parts += [Picture("Over time: interquartile mean over worlds; band: 95 % bootstrap, of several worlds", curves)]
     if len(groups) > 1:
         error = "map_error" if drivers else "map_error_aligned"  # drivers are rewarded by the former
         gaps: Rows = {
@@ -151,7 +151,7 @@ def drive_tables(results: Results) -> list[Table]:
         counts = frame.groupby("name")["episode"].nunique()
         most = counted(counts.max(), "episode")
         title = f"{setting}, " + (most if counts.nunique() == 1 else f"{counts.min()} to {most}")
-        title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
+        title += "" if kind == "drivers" else f", driven by {display_name(results.conditions['driver'])}"
         rows = {name: estimates(episodes, shown) for name, episodes in grouped(frame, "name").items()}
         caption = f"interquartile mean{INTERVALS}"
         if Clairvoyant.name in rows:
@@ -200,7 +200,7 @@ DETAILS = [*columns("exact", "precision", "recall"), *MISTAKES, *columns("promis
 def suite_page(results: Results, folder: Path) -> Page:
     """The paired differences in the ranking, the scores, and a plot for each capability."""
     size, colour, parts = results.conditions, figures.colours(results.names), list[Part]()
-    about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
+    about = f"{counted(size['worlds'], 'world')} a level, up to {counted(size['problems'], 'scan')} in each"
     association = results.frame[results.frame["experiment"] != RELOCATION]
     if len(association):
         capability_scores, mistakes = scores(association), details(association, MISTAKES)

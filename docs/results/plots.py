@@ -26,7 +26,7 @@ THEMES = {
 NAMES = {
     "nearest_neighbour": "nearest neighbour", "global_nearest_neighbour": "global nearest neighbour",
     "singles": "SINGLES", "one_point_ransac": "1-point RANSAC", "jcbb": "JCBB", "ipjc": "IPJC",
-    "true_association": "true association",
+    "true_association": "true association", "map_hypothesis": "map hypothesis",
     "nearest_frontier": "nearest frontier", "information_gain": "information gain", "lawnmower": "lawn-mower",
 }  # fmt: skip
 
@@ -93,7 +93,7 @@ def cost(theme: dict[str, str]) -> Figure:
         axes.grid()
     left.set_xticks([500, 1000, 2000, 5000], ["500", "1 000", "2 000", "5 000"])
     left.set_xticks([], minor=True)
-    right.set_xticks([50, 800, 12800], ["50", "800", "12 800"])
+    right.set_xticks([50, 800, 3200, 12800], ["50", "800", "3 200", "12 800"])
     right.set_xticks([], minor=True)
     return figure
 
@@ -142,16 +142,17 @@ def training(theme: dict[str, str]) -> Figure:
         label = "in training, three seeds" if seed == 0 else None
         axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], lw=1, label=label)
     greedy = seeds.dropna(subset="held_out_return").groupby("decisions").held_out_return.mean()
-    axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], label="held-out worlds, greedy, seed 0")
+    label = "held-out worlds, greedy, seed 0"
+    axes.plot(greedy.index / 1e6, greedy, "o", color=theme["red"], clip_on=False, label=label)
     clone = data[data.who == "clone"]
     axes.plot(clone.decisions / 1e6, clone.train_score, color=theme["blue"], lw=1, label="begun as a clone of marginal")
     for who, colour in colours.items():
         level = data[data.who == who].held_out_return.iloc[0]
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
-        shift = -0.04 if who == "marginal" else 0.0  # so that names do not overlap
+        shift = {"marginal": -0.04, "learned": 0.04}.get(who, 0.0)  # so that names do not overlap
         axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
     axes.set(xlabel="million decisions", ylabel="score (1: the truth, 0: refuses all)")
-    axes.set(xlim=(0, 2.0), ylim=(-0.8, 1.05))
+    axes.set(xlim=(0, 2.0), ylim=(-1.1, 1.05))
     minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))
     minutes.set_xlabel("minutes of one core")
     axes.legend(loc="lower right")

@@ -225,7 +225,7 @@ class AssociateEnv(BaseEnv):
         map_error = (("map error", f"{self.run.map_error():.2f}"),) if self.places_known else ()
         return (
             ("scan", f"{self.run.scans} of {self.run.length}"),
-            ("score", f"{self.score:.2f}"),
+            ("score", f"{self.score:.2f}".replace("-", "−")),
             ("paired right", str(self._right)),
             ("paired wrong", str(self._wrong)),
             *map_error,

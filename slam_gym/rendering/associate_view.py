@@ -19,8 +19,8 @@ _ROOM = (60, 60, MAP[0] - 120, MAP[1] - 120)  # [pixels] left, bottom, width, he
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
 _KEY = (
     *KEY,
-    (symbols.PAPER, symbols.PLAN, "legal, 95 % ellipse"),
-    (symbols.PAPER, symbols.LINE, "compatible alone"),
+    (symbols.PAPER, symbols.PLAN, "legal, with its gate"),
+    (symbols.PAPER, symbols.LATER, "compatible alone"),
 )
 
 
@@ -33,8 +33,11 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
     view = fitting(np.concatenate([low - margin, high + margin]), _ROOM)
     canvas = Canvas(MAP, *view, symbols.PAPER)
     draw_scene(canvas, scene if walk is None else _with_decisions(scene, walk, answers))
-    centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, scene.pose, walk)
-    return picture_with(canvas, centres, _panel(run, walk, answers, figures))
+    panel = _panel(run, walk, answers, figures)
+    if walk is None or walk.done:
+        return picture_with(canvas, np.empty((0, 2)), panel)
+    centres, decided = _draw_choice(canvas, scene.pose, walk)
+    return picture_with(canvas, centres, panel, decided)
 
 
 def _with_decisions(scene: Scene, walk: Walk, answers: RightAnswers) -> Scene:
@@ -47,17 +50,17 @@ def _with_decisions(scene: Scene, walk: Walk, answers: RightAnswers) -> Scene:
     return scene._replace(scan_points=transform(pose, tree.scan.points), decisions=codes, paired_positions=paired)
 
 
-def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
-    """Draw the measurement to decide, and the gates of the candidates, whose centres are returned."""
+def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> tuple[Array, Array]:
+    """Draw the measurement to decide, and the gates of the candidates; their centres (k, 2) and the former (1, 2)."""
     tree, i, rows = walk.tree, walk.measurement, walk.rows
     centres = transform(pose, tree.prediction.positions[rows])
     spread = tree.prediction.covariances[rows] + tree.scan.covariances[i]
-    canvas.ellipses(centres, rotate_covariances(pose[2], spread), None, symbols.PLAN, 1.6)
-    here = transform(pose, tree.scan.points[i : i + 1])[0]
+    canvas.ellipses(centres, rotate_covariances(pose[2], spread), None, symbols.PLAN, 1.6, float(tree.gates[1]))
+    here = transform(pose, tree.scan.points[i : i + 1])
     for centre in centres:
-        canvas.dashes(np.stack([here, centre]), symbols.PLAN, 1.6)
-    symbols.choice(canvas, here, mark_size(canvas))
-    return centres
+        canvas.dashes(np.stack([here[0], centre]), symbols.PLAN, 1.6)
+    symbols.choice(canvas, here[0], mark_size(canvas))
+    return centres, here
 
 
 def _panel(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> TreePanel:

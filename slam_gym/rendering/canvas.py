@@ -33,7 +33,7 @@ _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0,
 _FREE_SHARE = np.array([0.0, 1.0, 0.5])  # of unknown, free and wall cells: free space ends in the middle of walls
 _SMOOTHING = 0.7  # [cells] standard deviation of the filter of free space
 _SHARPNESS = 20.0  # of its border
-_SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
+_GATE_95 = 5.991  # squared Mahalanobis distance of the 95 % ellipse of a plane Gaussian: χ²_{2, .95}
 
 
 def fitting(bounds: Array, room: tuple[int, int, int, int], margin: float = 0.0) -> tuple[tuple[float, float], float]:
@@ -120,13 +120,28 @@ class Canvas:
         self.polygons(points[:, None] + outline / self.scale, fill, line, width)
 
     def ellipses(
-        self, points: Array, covariances: Array, fill: Colour | None, line: Colour | None, width: float = 1.0
+        self,
+        points: Array,
+        covariances: Array,
+        fill: Colour | None,
+        line: Colour | None,
+        width: float = 1.0,
+        gate: float = _GATE_95,
     ) -> None:
-        """Draw 95 % ellipses of Gaussians with means (k, 2) [m] and covariances (k, 2, 2) [m²]."""
+        """Draw the ellipses within which Gaussians with means (k, 2) [m] and covariances (k, 2, 2) [m²] have at most
+        the squared Mahalanobis distance `gate`, by default 95 % ellipses."""
         values, vectors = np.linalg.eigh(covariances)
-        radii = _SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
+        radii = np.sqrt(gate * np.maximum(values, 0.0))
         outlines = np.swapaxes(vectors @ (radii[:, :, None] * _CIRCLE), 1, 2)
         self.polygons(points[:, None] + outlines, fill, line, width)
+
+    def tint(self, points: Array, covariances: Array, colour: Colour) -> None:
+        """Multiply the picture by `colour` in 95 % ellipses, as `ellipses`: what is below them can still be seen."""
+        below, self.surface = self.surface, pygame.Surface(self.surface.get_size(), depth=32)
+        self.surface.fill((255, 255, 255))
+        self.ellipses(points, covariances, colour, None)
+        below.blit(self.surface, (0, 0), special_flags=pygame.BLEND_RGB_MULT)
+        self.surface = below
 
     def cells(self, codes: NDArray[np.uint8], free: Colour, wall: Colour, pose: Array, resolution: float) -> None:
         """Draw a grid of unknown (0), free (1) and wall (2) cells (h, w), row 0 lowest, of side `resolution` [m].

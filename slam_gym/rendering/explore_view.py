@@ -7,8 +7,8 @@ import numpy as np
 
 from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import TEXT, Canvas, fitting, pygame, text
-from slam_gym.rendering.panels import SIZE, Box, Figures, figures
+from slam_gym.rendering.canvas import Canvas, fitting, pygame, text
+from slam_gym.rendering.panels import SIZE, Box, Figures, figures, scale_bar
 from slam_gym.rendering.scene import Scene, draw_scene, legend, paired_positions, scene_of_episode, shown_in
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
@@ -49,7 +49,7 @@ def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()
     canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.PAPER)
     draw_scene(canvas, scene)
     picture.blit(canvas.picture(), (0, 0))
-    _scale_bar(picture, layout)
+    scale_bar(picture, layout.map_size, layout.scale)
     _panel(picture, layout, title, shown)
     return picture
 
@@ -86,41 +86,30 @@ def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
     figures(picture, shown, (x, y + 30), room, 1 if layout.beside else 2)
 
 
-def _scale_bar(picture: Any, layout: Layout) -> None:
-    """Draw a bar of 1, 2 or 5 · 10^k metres in the lower right corner of the map."""
-    longest = min(130.0, 0.4 * layout.map_size[0]) / layout.scale
-    decade = 10.0 ** math.floor(math.log10(longest))
-    metres = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
-    length = round(metres * layout.scale)
-    right, y = layout.map_size[0] - _MARGIN, layout.map_size[1] - 13
-    label = text(f"{metres:g} m", TEXT, symbols.INK)
-    pygame.draw.rect(picture, symbols.INK, (right - length, y, length, 2))
-    for x in (right - length, right - 2):
-        pygame.draw.rect(picture, symbols.INK, (x, y - 4, 2, 6))
-    picture.blit(label, (right - length - 8 - label.get_width(), y - 8))
-
-
 def _figures(episode: Episode) -> Figures:
     tally, slam_map = episode.identities.total, episode.slam.map
     error = float(np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]))
+    distance = f"{100.0 * error:.0f} cm" if error < 1.0 else f"{error:.1f} m"
     return (
         ("tick", f"{episode.ticks} of {episode.scenario.budget}"),
         ("map error", f"{episode.map_error():.2f}"),
         ("explored", f"{100.0 * episode.coverage():.0f} %"),
-        ("features", f"{int((~slam_map.provisional).sum())} of {len(episode.targets)}"),
+        ("mapped", str(int((~slam_map.provisional).sum()))),
+        ("true features", str(len(episode.targets))),
         ("paired right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
-        ("pose error", f"{100.0 * error:.0f} cm" if error < 1.0 else f"{error:.1f} m"),
+        ("pose error", "–" if len(episode.slam.maps) > 1 else distance),  # nobody knows where a second map lies
         *_whereabouts(episode),
     )
 
 
 def _whereabouts(episode: Episode) -> Figures:
     """The kidnapping and the robot's reaction to it; empty without kidnapping and relocation."""
-    kidnapping = episode.kidnapping
-    if episode.scenario.kidnapping is None and episode.slam.relocator is None:
+    kidnapping, slam = episode.kidnapping, episode.slam
+    if episode.scenario.kidnapping is None and slam.relocator is None:
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"at {kidnapping.happened}"),)
-    states = {"is lost": episode.slam.lost, "in doubt": episode.slam.doubted, "missed a loop": episode.slam.missed_loop}
+    states = {"is lost": slam.lost, "in doubt": slam.doubted, "missed a loop": slam.missed_loop}
+    states |= {"in a new map": len(slam.maps) > 1}
     for state, holds in states.items():
         if holds:
             return (*rows, ("robot", state))

@@ -74,6 +74,19 @@ def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
     return top
 
 
+def scale_bar(picture: Any, size: tuple[int, int], scale: float) -> None:
+    """Draw a bar of 1, 2 or 5 · 10^k metres in the lower right corner of a map of `size` and `scale` [pixels/m]."""
+    longest = min(130.0, 0.4 * size[0]) / scale
+    decade = 10.0 ** math.floor(math.log10(longest))
+    metres = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
+    length, right, y = round(metres * scale), size[0] - _GAP, size[1] - 13
+    label = text(f"{metres:g} m", TEXT, symbols.INK)
+    pygame.draw.rect(picture, symbols.INK, (right - length, y, length, 2))
+    for x in (right - length, right - 2):
+        pygame.draw.rect(picture, symbols.INK, (x, y - 4, 2, 6))
+    picture.blit(label, (right - length - 8 - label.get_width(), y - 8))
+
+
 class ActionRow(NamedTuple):
     """A row of the table of actions. A cell is text, or text with the fraction (0 … 1) that its bar shows."""
 
@@ -104,15 +117,17 @@ def table(picture: Any, box: Box, headings: Sequence[str], choices: Sequence[Act
     picture.blit(text(note, TEXT, symbols.MUTED), (left + _COLUMNS[1], top + (len(choices) + 1) * ROW))
 
 
-def badges(picture: Any, points: Sequence[Point]) -> None:
-    """Draw the number of each action beside its candidate [pixels], where there is room, with a line to it."""
-    centres: list[Point] = []
+def badges(picture: Any, points: Sequence[Point], taken: Sequence[Point]) -> None:
+    """Draw the number of each action beside its candidate [pixels], with a line to it, where there is room in the map
+    beside other badges and places that are `taken`."""
+    centres = list(taken)
     for x, y in points:
         spots = [(x + r * dx, y + r * dy) for r in (17, 27, 38) for dx, dy in _AROUND]
         clear = [spot for spot in spots if all(math.dist(spot, other) > _BADGE_DISTANCE for other in centres)]
-        centres.append((clear or spots)[0])
+        inside = [spot for spot in clear or spots if _BADGE < spot[0] < MAP[0] - _BADGE]
+        centres.append((inside or spots)[0])
         pygame.draw.aaline(picture, symbols.PLAN, (x, y), centres[-1])
-    for action, centre in enumerate(centres):
+    for action, centre in enumerate(centres[len(taken) :]):
         badge(picture, centre, str(action))
 
 
@@ -156,12 +171,16 @@ class TreePanel(NamedTuple):
     remarks: Sequence[str] = ()  # in place of a table, where there are no choices
 
 
-def picture_with(canvas: Canvas, candidates: Array, shown: TreePanel) -> Any:
-    """A surface with a map on the left, the actions beside their `candidates` (k, 2) [m] there, and the panel."""
+def picture_with(canvas: Canvas, candidates: Array, shown: TreePanel, decided: Array | None = None) -> Any:
+    """A surface with a map on the left, the actions beside their `candidates` (k, 2) [m] there, and the panel.
+
+    No action covers the measurement that is `decided` (1, 2) [m].
+    """
     picture = pygame.Surface(SIZE, depth=32)
     picture.fill(symbols.PAPER)
     picture.blit(canvas.picture(), (0, 0))
-    badges(picture, canvas.places(candidates))
+    badges(picture, canvas.places(candidates), [] if decided is None else canvas.places(decided))
+    scale_bar(picture, MAP, canvas.scale)
     draw_panel(picture, (MAP[0], 0, PANEL, SIZE[1]), shown)
     return picture
 
@@ -262,7 +281,7 @@ def _nodes(canvas: Canvas, view: _View, level: TreeLevel, k: int, current: int) 
         elif k == current and (branch == STAR or branch in level.legal):
             canvas.discs(centre, 6.0, symbols.PAPER, symbols.PLAN, 1.6)
         else:
-            canvas.discs(centre, 6.0 if branch == STAR else 4.0, symbols.PAPER, symbols.LINE, 1.2)
+            canvas.discs(centre, 6.0 if branch == STAR else 4.0, symbols.PAPER, symbols.LATER, 1.2)
         if branch == level.right:
             canvas.discs(centre, 8.4, None, symbols.TRUTH, 1.6)
 

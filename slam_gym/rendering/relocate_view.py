@@ -21,7 +21,7 @@ _MARGIN = 0.7  # [m] around the plan
 _KEY = (
     *KEY,
     (symbols.PAPER, symbols.PLAN, "on offer"),
-    (symbols.PAPER, symbols.LINE, "legal, later"),
+    (symbols.PAPER, symbols.LATER, "legal, later"),
     (symbols.PAPER, symbols.PROVISIONAL, "local to the first"),
     (symbols.INK, symbols.INK, "true robot"),
     (symbols.PAPER, symbols.MAPPED, "robot as located"),

@@ -56,7 +56,7 @@ class Scene(NamedTuple):
 
 def mark_size(canvas: Canvas) -> float:
     """The size of marks, which grow with the scale, so that they do not overlap where it is small."""
-    return min(1.8, max(0.6, canvas.scale / 36.0))
+    return min(1.8, max(0.75, canvas.scale / 36.0))
 
 
 def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:

@@ -13,8 +13,9 @@ from slam_gym.types import Array, BoolArray, IntArray
 
 PAPER: Colour = (255, 255, 255)
 INK: Colour = (38, 43, 51)
-MUTED: Colour = (112, 121, 133)
+MUTED: Colour = (100, 109, 121)
 LINE: Colour = (205, 210, 217)
+LATER: Colour = (140, 147, 158)  # candidates that are not on offer now
 UNKNOWN_CELL: Colour = (229, 232, 237)
 FREE_CELL: Colour = (255, 255, 255)
 WALL_CELL: Colour = (143, 170, 208)
@@ -25,7 +26,7 @@ TRUE_FEATURE: Colour = (132, 141, 154)
 MAPPED: Colour = (31, 95, 173)
 UNCERTAIN: Colour = (216, 230, 247)
 PROVISIONAL: Colour = (138, 176, 221)
-COVISIBLE: Colour = (206, 219, 238)
+COVISIBLE: Colour = (150, 180, 222)
 TRAIL: Colour = (172, 178, 187)
 ESTIMATED_TRAIL: Colour = (92, 143, 206)
 PLAN: Colour = (0, 124, 128)
@@ -48,6 +49,7 @@ _CIRCLE = 1.15 * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 _OUTLINES = (_SQUARE, _DIAMOND, _CIRCLE)  # of corners, door jambs, pillars
 _ARM = np.array([[0.0, 0.4], [0.6, 1.0], [1.0, 0.6]])
 _CROSS = np.concatenate([_ARM, _ARM[:, ::-1] * [1, -1], -_ARM, _ARM[:, ::-1] * [-1, 1]])
+_TRIANGLE = np.array([[0.0, 1.2], [1.05, -0.75], [-1.05, -0.75]])
 
 
 def true_features(canvas: Canvas, positions: Array, kinds: IntArray, radius: float) -> None:
@@ -57,10 +59,9 @@ def true_features(canvas: Canvas, positions: Array, kinds: IntArray, radius: flo
 
 
 def uncertainties(canvas: Canvas, positions: Array, covariances: Array, provisional: BoolArray) -> None:
-    """Draw 95 % ellipses (n, 2), (n, 2, 2): filled for confirmed features, outlines for provisional ones."""
-    confirmed = ~provisional
-    canvas.ellipses(positions[confirmed], covariances[confirmed], UNCERTAIN, PROVISIONAL)
-    canvas.ellipses(positions[provisional], covariances[provisional], None, PROVISIONAL)
+    """Draw 95 % ellipses (n, 2), (n, 2, 2): tinted for confirmed features, outlines for provisional ones."""
+    canvas.tint(positions[~provisional], covariances[~provisional], UNCERTAIN)
+    canvas.ellipses(positions, covariances, None, PROVISIONAL)
 
 
 def landmarks(canvas: Canvas, positions: Array, provisional: BoolArray, radius: float) -> None:
@@ -99,12 +100,14 @@ def decided_line(canvas: Canvas, ends: Array, code: int, width: float) -> None:
 
 
 def marks(canvas: Canvas, points: Array, codes: IntArray, size: float = 1.0) -> None:
-    """Draw measurements (m, 2) in the colours of the decisions on them (m,): as crosses if wrong, else as dots, which
-    are hollow if undecided."""
+    """Draw measurements (m, 2) in the colours of the decisions on them (m,): as crosses if wrong, as triangles if
+    spurious, else as dots, which are hollow if undecided."""
     canvas.discs(points[codes == UNDECIDED], 3.4 * size, PAPER, INK, 1.2)
     for code, colour in DECISIONS.items():
         if code == Decision.WRONG:
             canvas.markers(points[codes == code], 5.0 * size * _CROSS, colour, PAPER, 0.8)
+        elif code == Decision.SPURIOUS:
+            canvas.markers(points[codes == code], 4.2 * size * _TRIANGLE, colour, PAPER, 0.8)
         else:
             canvas.discs(points[codes == code], 3.2 * size, colour, PAPER, 0.8)
 
@@ -120,7 +123,7 @@ def robot_body(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6
         return
     pixels = max(radius * canvas.scale, min_pixels)
     canvas.discs(pose[None, :2], pixels, INK, PAPER, 1.0)
-    wedge = np.array([[0.72, 0.0], [-0.42, 0.5], [-0.42, -0.5]]) * (pixels / canvas.scale)
+    wedge = np.array([[0.85, 0.0], [-0.6, 0.4], [-0.6, -0.4]]) * (pixels / canvas.scale)
     canvas.polygons(transform(pose, wedge)[None], PAPER)
 
 

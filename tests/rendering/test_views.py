@@ -39,8 +39,8 @@ def test_an_episode_is_drawn_with_its_goals_and_what_became_of_the_robot() -> No
     )
     assert plain.shape == fuller.shape == (720, 960, 3) and (plain != fuller).any()
     assert (fuller == symbols.PLAN).all(axis=2).any()
-    assert [what for what, _ in explore_view._figures(env.episode)][:6] == [
-        "tick", "map error", "explored", "features", "paired right", "pose error",
+    assert [what for what, _ in explore_view._figures(env.episode)][:7] == [
+        "tick", "map error", "explored", "mapped", "true features", "paired right", "pose error",
     ]  # fmt: skip
 
 
