@@ -104,7 +104,7 @@ def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, ways: Di
         if len(fresh):
             return fresh
         nearby = field.nearest(goal)
-        if math.dist(nearby, goal) < NEAR_ENOUGH:
+        if math.dist(nearby, goal) < NEAR_ENOUGH and math.dist(nearby, here) >= ARRIVED:
             return field.path(nearby)
     return np.empty((0, 2))
 

@@ -176,7 +176,7 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
         raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
     grey = np.arange(256.0)
     occupied = grey / 255.0 if negate else (255.0 - grey) / 255.0
-    unknown = (grey == _UNKNOWN_GREY) & (mode == "trinary") & (not negate)  # with whatever `free_thresh`
+    unknown = (grey == (255 - _UNKNOWN_GREY if negate else _UNKNOWN_GREY)) & (mode == "trinary")  # at any `free_thresh`
     free = np.where((occupied < threshold) & ~unknown, 255, 0).astype(np.uint8)  # for each level of grey
     return {"occupancy": free[image], "resolution": resolution, "name": path.stem, "origin": (x, y)}
 
@@ -205,7 +205,11 @@ def _read_image(path: Path) -> NDArray[Any]:
         else:
             import cv2
 
-            image = cv2.imdecode(np.frombuffer(content_of(path), np.uint8), cv2.IMREAD_GRAYSCALE)
+            coded = np.frombuffer(content_of(path), np.uint8)
+            whole: Any = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
+            if whole is not None and whole.shape[2:] == (4,) and whole[..., 3].min() < np.iinfo(whole.dtype).max:
+                raise ValueError("has transparent pixels, which may be wall or free space: make them opaque")
+            image = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
     except (ValueError, OSError) as error:
         raise FloorPlanError("image", str(error)) from None
     except Exception as error:  # OpenCV's own

@@ -7,6 +7,7 @@ Images are grey: dark = wall, light = free; levels between (such as a ROS map's 
 from __future__ import annotations
 
 import importlib
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -73,10 +74,10 @@ def from_raster(
     if not free.any():
         narrow = f"wider than 0.5 m is lighter than {FREE_ABOVE} (the lightest pixel is {int(occupancy.max())})"
         raise FloorPlanError("occupancy", f"no free space: no part of a floor {narrow}; is the resolution right?")
-    outlines = trace(free, resolution, _DRAWN if valid is not None else _MEASURED)
+    outlines = trace(free, resolution, _MEASURED) if valid is None else _trace_drawn(free, resolution)
     frame = _Frame(free.shape[0], resolution, origin)
     rings = [frame(outline.ring) for outline in outlines]
-    rooms, doors = ((_outermost("floor", rings),), ()) if valid is None else _rooms_and_doors(free, valid, frame)
+    rooms, doors = ((_keyhole("floor", rings),), ()) if valid is None else _rooms_and_doors(free, valid, frame)
     walls = np.vstack([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
     return FloorPlan(name, walls, _features(outlines, doors, frame), rooms, doors)
 
@@ -106,9 +107,9 @@ def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | N
         raise FloorPlanError("resolution", f"makes the plan longer than {MAX_EXTENT:g} m")
     if occupancy.size > MAX_PIXELS:
         raise FloorPlanError("occupancy", f"has more than {MAX_PIXELS >> 20} million pixels: scale it down")
-    if valid is None and occupancy.size * (_OPENING / resolution) ** 2 > _MAX_OPENING:
-        fine = _OPENING * (occupancy.size / _MAX_OPENING) ** 0.5
-        raise FloorPlanError("resolution", f"is too fine for so many pixels: scale the image to {fine:.3g} m per pixel")
+    width = _OPENING / resolution  # [pixels], by most of which the image is padded
+    if valid is None and math.prod(size + 1.5 * width for size in occupancy.shape) * width**2 > _MAX_OPENING:
+        raise FloorPlanError("resolution", "is too fine for so many pixels: scale the image down, or is it wrong?")
     if valid is not None and (valid.shape != occupancy.shape or valid.dtype.kind not in "iu"):
         raise FloorPlanError("valid", f"{valid.dtype} {valid.shape}: expected integers {occupancy.shape}")
     return occupancy.astype(np.uint8) * np.uint8(255) if occupancy.dtype == np.bool_ else occupancy
@@ -175,9 +176,14 @@ def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
     return np.asarray(np.bitwise_or.reduce(covered)[reach:-reach, reach:-reach])
 
 
-def _outermost(name: str, rings: list[Array]) -> Room:
-    """The room within the largest of the outlines `rings`, each (p, 2) [m]."""
-    return max((Room(name, ring) for ring in rings), key=lambda room: room.area)
+def _keyhole(name: str, rings: list[Array]) -> Room:
+    """The room within the largest of the outlines `rings`, each (p, 2) [m], without what the others enclose.
+
+    Its outline goes to each of them and back, since they run the other way.
+    """
+    outer = max(range(len(rings)), key=lambda k: Room(name, rings[k]).area)
+    outlines = [rings[outer], *rings[:outer], *rings[outer + 1 :]]
+    return Room(name, np.vstack([part for ring in outlines for part in (ring, ring[:1], outlines[0][:1])]))
 
 
 def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
@@ -195,11 +201,11 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
         _, parts, stats, _ = cv2.connectedComponentsWithStats(labelled, connectivity=4)
         offset = np.array([box[1].start, box[0].start])
         for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
-            outlines = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN)
+            outlines = _trace_drawn((parts == part).astype(np.uint8), frame.resolution)
             if not outlines:  # a room of a few large pixels
                 continue
             name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
-            rooms.append(_outermost(name, [frame(outline.ring + offset) for outline in outlines]))
+            rooms.append(_keyhole(name, [frame(outline.ring + offset) for outline in outlines]))
             index[box][parts == part] = len(rooms)
     if not rooms:
         raise FloorPlanError("valid", f"labels no free room of at least {_MIN_ROOM:g} m²")
@@ -275,7 +281,7 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> list[Outline]:
     that passages keep their full width. Simplification is by the algorithm of Douglas and Peucker (1973).
     """
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
-    lattice[1::2, 1::2] = mask
+    lattice[1::2, 1::2] = _without_gaps(mask)
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
     contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     outlines = []
@@ -293,6 +299,27 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> list[Outline]:
         if len(ring) >= 3:
             outlines.append(Outline(ring, (x / 2.0, y / 2.0), diameter))
     return outlines
+
+
+def _trace_drawn(mask: Mask, pixel: float) -> list[Outline]:
+    """The outlines of a drawing: to less than a pixel, unless walls that run across the pixels have too many stairs."""
+    try:
+        return trace(mask, pixel, _DRAWN)
+    except FloorPlanError:
+        return trace(mask, pixel, _MEASURED)
+
+
+def _without_gaps(mask: Mask) -> Mask:
+    """`mask` (h, w) without the gaps of oblique walls that are one pixel thick: free pixels that touch only diagonally,
+    between two that are not free, are not connected."""
+    mask = mask.copy()
+    while True:
+        a, b, c, d = mask[:-1, :-1] > 0, mask[:-1, 1:] > 0, mask[1:, :-1] > 0, mask[1:, 1:] > 0
+        falling, rising = a & d & ~b & ~c, b & c & ~a & ~d
+        if not (falling | rising).any():
+            return mask
+        mask[:-1, :-1][falling] = 0
+        mask[:-1, 1:][rising] = 0
 
 
 def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32]:

@@ -116,13 +116,25 @@ def test_every_format_gives_the_same_plan(suffix, tmp_path, cv2):
     assert plan.name == "map"
 
 
+@pytest.mark.parametrize("negate", [0, 1])
 @pytest.mark.parametrize("threshold", [0.196, 0.25])
-def test_what_a_ros_map_has_not_explored_is_no_floor_whatever_its_threshold(tmp_path, cv2, threshold):
+def test_what_a_ros_map_has_not_explored_is_no_floor_whatever_its_threshold(tmp_path, cv2, threshold, negate):
     image = blank()
     image[40:60, 40:60] = 205
-    cv2.imwrite(str(tmp_path / "image.pgm"), image)
-    (tmp_path / "map.yaml").write_text(f"image: image.pgm\nresolution: 0.05\nfree_thresh: {threshold}")
+    cv2.imwrite(str(tmp_path / "image.pgm"), 255 - image if negate else image)
+    settings = f"free_thresh: {threshold}\nnegate: {negate}"
+    (tmp_path / "map.yaml").write_text(f"image: image.pgm\nresolution: 0.05\n{settings}")
     assert len(load_floor_plan(tmp_path / "map.yaml").features.positions) == 8
+
+
+def test_pixels_that_are_transparent_are_refused_and_opaque_ones_are_read(tmp_path, cv2):
+    image = cv2.cvtColor(blank(), cv2.COLOR_GRAY2BGRA)
+    cv2.imwrite(str(tmp_path / "map.png"), image)
+    assert len(load_floor_plan(tmp_path / "map.png", PIXEL).features) == 4
+    image[image[..., 0] == 0] = (255, 255, 255, 0)
+    cv2.imwrite(str(tmp_path / "map.png"), image)
+    with pytest.raises(FloorPlanError, match="has transparent pixels"):
+        load_floor_plan(tmp_path / "map.png", PIXEL)
 
 
 def test_ros_map_origin_and_negate(tmp_path, cv2):

@@ -119,6 +119,38 @@ def test_real_floors_can_be_driven(name, floors, data_dir):
     assert len(thinned(plan.features.positions, np.zeros(len(plan.features)))) == len(plan.features)
 
 
+def test_a_corridor_round_a_solid_block_is_the_floor_and_not_the_block():
+    image = np.zeros((280, 480), np.uint8)
+    image[10:270, 10:470] = 255
+    image[30:250, 30:450] = 0
+    plan = from_raster(image, 0.1)
+    assert plan.rooms[0].area == pytest.approx(46.0 * 26.0 - 42.0 * 22.0)
+    x, y = reachable(plan, free_cells(plan, 0.2)).T
+    assert len(x) and ((x < 3.0) | (x > 45.0) | (y < 3.0) | (y > 25.0)).all()
+
+
+@pytest.mark.parametrize("angle", [11.0, 33.0, 45.0])
+def test_an_oblique_wall_of_one_pixel_is_a_wall(angle):
+    image = blank(300, 300)
+    towards = 200.0 * np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))])
+    ends = (np.array([150.0, 150.0]) + [[-1.0], [1.0]] * towards).round().astype(int).tolist()
+    cv2.line(image, ends[0], ends[1], 0, 1, cv2.LINE_8)
+    plan = from_raster(image, 0.1)
+    x, y = reachable(plan, free_cells(plan, 0.2)).T
+    side = np.sign((x - 15.0) * np.sin(np.deg2rad(angle)) + (y - 15.0) * np.cos(np.deg2rad(angle)))
+    assert len(np.unique(side)) == 1 and len(side) * 0.25**2 > 200.0
+
+
+def test_a_large_building_across_the_pixels_can_be_read_with_its_labels():
+    turn = np.deg2rad(17.0)
+    row, column = np.indices((1200, 1200)) - 100
+    x, y = column * np.cos(turn) + row * np.sin(turn), row * np.cos(turn) - column * np.sin(turn)
+    comb = (x > 200) & (x < 1000) & (y > 0) & (y < 780) & ((y < 60) | (x % 24 > 3))
+    image = np.where(comb & (np.abs(row - 500) < 595) & (np.abs(column - 500) < 595), 255, 0).astype(np.uint8)
+    plan = from_raster(image, 0.1, valid=(image > 0).astype(np.int64))
+    assert len(plan.rooms) == 1 and len(plan.walls) < 300
+
+
 def test_a_shaft_is_no_floor_beside_a_hall_that_reaches_the_edge_of_the_image():
     image = np.full((400, 600), 254, np.uint8)
     image[100:180, 100:180] = 0
@@ -153,7 +185,8 @@ def test_willow_garage_can_be_driven(data_dir):
         (blank(), PIXEL, np.ones((3, 3), int), "valid"),
         (blank(), PIXEL, blank() / 2.0, "valid"),
         (blank(), PIXEL, np.zeros((100, 140), int), "no free space"),
-        (np.full((1000, 1000), 254, np.uint8), 0.002, None, "resolution: is too fine .* scale the image to 0.00"),
+        (np.full((1000, 1000), 254, np.uint8), 0.002, None, "resolution: is too fine"),
+        (np.full((148, 232), 254, np.uint8), 0.001, None, "resolution: is too fine"),
         (np.full((4097, 4097), 254, np.uint8), 0.05, None, "occupancy: has more than 16 million pixels"),
         (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.arange(40_000).reshape(200, 200), "more than 2000 labels"),
     ],
