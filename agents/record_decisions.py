@@ -78,6 +78,8 @@ def main(
     if dataset and len(worlds) > 1:
         raise ValueError(f"--dataset {dataset}: each of the {len(worlds)} scenarios has a data set of its own")
     data_sets = {dataset or f"slam_gym/{stem(each.scenario)}/{stem(associator)}-v0": each for each in worlds}
+    if len(data_sets) < len(worlds):
+        raise ValueError(f"--scenario: {len(worlds)} scenarios, but only the data sets {', '.join(data_sets)}")
     for name in data_sets:
         try:
             parse_dataset_id(name)

@@ -112,7 +112,7 @@ def check_number(name: str, value: Any, greatest: float = sys.float_info.max) ->
 
 def check_count(name: str, value: Any) -> None:
     """Raise ValueError, naming it, unless an argument is a whole number from 1 on."""
-    if not isinstance(value, (int, np.integer)) or value < 1:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
 
 

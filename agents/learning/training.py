@@ -115,7 +115,7 @@ def train(
         raise ValueError("--clone begins a training, --resume goes on with one: give one of them")
     if not models and training.resume:
         raise ValueError(f"{out} holds no training to resume")
-    last = max(models, key=lambda path: policies.read_about(path).timesteps, default=None)
+    last = max(models, key=_steps, default=None)
     torch.set_num_threads(1)  # the networks and the products of SLAM are small: more threads are slower
     threadpool_limits(1)
     if (fewest := min(hyper.envs, training.eval_episodes)) < len(worlds):
@@ -194,6 +194,14 @@ class EpisodeEnds(BaseCallback):
             self.logger.record(f"rollout/{name}", float(np.mean([episode[name] for episode in episodes])))
 
 
+def _steps(path: Path) -> int:
+    """The number of steps that a model was trained for, or −1: a training that was killed may leave half a file."""
+    try:
+        return policies.read_about(path).timesteps
+    except ValueError:
+        return -1
+
+
 def _resume(model: Any, path: Path, about: About) -> None:
     """Load weights, optimiser and step count, and go on to new worlds. ValueError where it was trained on something
     else."""
@@ -202,7 +210,8 @@ def _resume(model: Any, path: Path, about: About) -> None:
         was, now = before.training.get(name), about.training[name]
         if was != now:
             raise ValueError(f"{path} was trained with {name} {was!r}, not {now!r}")
-    if before.network != about.network:
+    same_network, was, now = before.network == about.network, before.hyperparameters.ppo, about.hyperparameters.ppo
+    if not same_network or plain(was) != plain(now):
         raise ValueError(f"{path} was trained on action {before.action!r} with other hyperparameters")
     model.set_parameters(path, device="cpu")  # weights only: nothing is unpickled
     model.num_timesteps = before.timesteps

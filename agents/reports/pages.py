@@ -136,7 +136,9 @@ def drives_page(results: Results, folder: Path) -> Page:
         if (path := film_path(folder, name)).with_suffix(".png").exists():
             parts.append(Film(name, path))
     title = "Drivers" if drivers else "Associators in the loop"
-    subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all"
+    worlds = {frozenset(zip(own["setting"], own["episode"])) for own in groups.values()}
+    equal = "for all" if len(worlds) == 1 else "only in the paired differences, since rows have episodes of their own"
+    subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds {equal}"
     return Page(title, subtitle, parts, "drives.html", first)
 
 

@@ -19,7 +19,7 @@ from slam_gym.simulation.kidnapping import is_right
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap
 from slam_gym.slam.relocate import LOCALITIES, LocalityName
 from slam_gym.types import UNPAIRED, IntArray
-from slam_gym.validation import check_number, one_of
+from slam_gym.validation import check_count, check_number, one_of
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class RelocateSettings(Settings):
         super().__post_init__()
         one_of("locality", self.locality, (*LOCALITIES, None))
         check_number("outside", self.outside, 1.0)
-        if not (isinstance(self.kidnappings_per_map, int) and self.kidnappings_per_map >= 1):
-            raise ValueError(f"kidnappings_per_map={self.kidnappings_per_map}: expected a whole number >= 1")
+        check_count("kidnappings_per_map", self.kidnappings_per_map)
         for name in ("node_cost", "wrong_cost", "position_tolerance", "heading_tolerance"):
             check_number(name, getattr(self, name))
 

@@ -37,6 +37,7 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.validation import check_count
 
 Infos = dict[str, Any]  # arrays (N, …) by key; beside every `key`, `_key` (N,) says which worlds have it
 WorldInfos = list[tuple[int, dict[str, Any]]]  # worlds and their infos, in the order in which they are merged
@@ -75,10 +76,10 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             max_episode_steps: number of steps after which an episode is `truncated`; None: never.
             **arguments: arguments of every single environment.
         """
-        for name, value, least in (("num_envs", num_envs, 1), ("workers", 0 if workers is None else workers, 0)):
-            if not (isinstance(value, int) and value >= least):
-                raise ValueError(f"{name}={value!r}: expected a whole number >= {least}")
-
+        check_count("num_envs", num_envs)
+        if workers != 0:
+            check_count("workers", 1 if workers is None else workers)
+        num_envs = int(num_envs)
         scenario = arguments.get("scenario")
         if isinstance(scenario, str):  # workers do not know those that the caller's script has registered
             arguments["scenario"] = SCENARIOS.get(scenario, scenario)

@@ -44,7 +44,7 @@ def by_truth(env, observation, info):
         ({"node_limit": 0}, "node_limit"),
         ({"outside": 1.5}, "outside=1.5"),
         ({"outside": float("nan")}, "outside=nan"),
-        ({"kidnappings_per_map": 0}, "kidnappings_per_map=0"),
+        ({"kidnappings_per_map": 0}, "kidnappings_per_map: expected a whole number"),
         ({"associator": "me"}, "jcbb"),
         ({"overrides": {"associator": "me"}}, "jcbb"),
         ({"node_cost": -1.0}, "node_cost=-1"),

@@ -97,8 +97,18 @@ def test_a_resumed_training_goes_on_from_its_weights_and_count(driver):
         run(driver.parent, seed=4, timesteps=48, resumed=True)
     with zipfile.ZipFile(driver) as archive, archive.open("policy.optimizer.pth") as file:
         before = [int(state["step"]) for state in torch.load(file, weights_only=True)["state"].values()]
+    quick, faster = driver.parent.parent / "quick.toml", driver.parent.parent / "faster.toml"
+    faster.write_text(quick.read_text().replace("gamma = 0.98", "gamma = 0.5"))
+    with pytest.raises(ValueError, match="with other hyperparameters"):
+        train(
+            "goal",
+            [DRIVE],
+            Training(48, 3, driver.parent, True, faster, envs=1, eval_every=16, eval_episodes=1),
+            "nowhere",
+        )
     for early in driver.parent.glob("checkpoints/*.zip"):
         os.utime(early)  # as in a folder that was copied
+    (driver.parent / "checkpoints" / "model_99_steps.zip").write_bytes(driver.read_bytes()[:3000])  # a killed training
     assert read_about(run(driver.parent, timesteps=48, resumed=True)).timesteps == 48
     with zipfile.ZipFile(driver) as archive, archive.open("policy.optimizer.pth") as file:
         after = [int(state["step"]) for state in torch.load(file, weights_only=True)["state"].values()]
