@@ -17,6 +17,10 @@ from typer import Argument, Option
 from agents.cli import command
 from agents.options import Search, search_of
 
+_DEVIANT = (
+    1.3  # D² of pairings over its degrees of freedom: about 1 where σ are right, 1.5 to 1.9 at two thirds of them
+)
+
 
 def main(
     log: Annotated[
@@ -58,11 +62,11 @@ def main(
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
         ax = plot_path(poses, figure.subplots(), label="path")
         for number, colour in reversed(list(zip(range(len(slam.maps)), cycle((BLUE, GREEN, YELLOW, INK))))):
-            ax.plot([], [], "o", ms=3.0, mfc="none", mec=colour, label=f"map {number}, ellipses of 2σ")
+            ax.plot([], [], "o", ms=3.0, mfc="none", mec=colour, label=f"map {number}, 2σ")
             plot_map(slam.maps[number], ax, colour=colour)  # the active map on top
         ax.plot([], [], "o", ms=3.0, mfc="none", mec=GREY, label="not confirmed")
         ax.plot([], [], ">", color=RED, label="robot")
-        figure.legend(loc="outside lower center", ncols=5, frameon=False)
+        figure.legend(loc="outside lower center", ncols=4, frameon=False)
         ax.set_title(f"{recording.name}: {counted(len(table), 'feature')} by {associator}", parse_math=False)
         ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
@@ -73,6 +77,8 @@ def main(
             print("a place is probably mapped twice: features that were seen from there before are missing")
         if slam.tracker.slips:
             print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}, or the sigmas are too small")
+        if mapped.deviation > _DEVIANT:
+            print(f"the sigmas are probably too small: D² of the pairings is {mapped.deviation:.1f} times as expected")
         if doubted:
             print(f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
         print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))

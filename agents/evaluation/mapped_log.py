@@ -94,6 +94,7 @@ class MappedLog:
     log: Recording
     slam: Slam  # after the last step
     doubted: int  # scans that were doubted
+    deviation: float  # D² of all pairings over its degrees of freedom, about 1 where the sigmas are right
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
     measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
@@ -129,8 +130,9 @@ def map_log(
         step = judged.step(odometry, scan, Truth(slam.map.pose, sources))
         seconds = time.perf_counter() - began
         doubted = slam.doubted and len(scan) > 0
-        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, doubted, seconds))
-    poses, covariances, ids, created, doubts, times = zip(*steps)
+        fit = step.hypothesis.joint_distance, step.hypothesis.dof
+        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, doubted, fit, seconds))
+    poses, covariances, ids, created, doubts, fits, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
@@ -144,7 +146,8 @@ def map_log(
         "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
-    run = slam, sum(doubts), np.array(poses), np.array(covariances)
+    distance, dof = np.sum(fits, axis=0)
+    run = slam, sum(doubts), float(distance / max(dof, 1)), np.array(poses), np.array(covariances)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 

@@ -123,7 +123,6 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
     """Raise RecordingError for the first row where time descends, or a motion or measurement is incomplete."""
     time, empty = table["time"], {name: np.isnan(column) for name, column in table.items()}
     first = np.diff(time, prepend=-math.inf) != 0.0
-    of_step = np.flatnonzero(first)[np.cumsum(first) - 1]  # the first row of the step of each row
     source = table.get("source", np.zeros(len(time)))
     refused = {
         "column 'time' is empty": empty["time"],
@@ -140,9 +139,9 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
     for name in (name for name in (*MOTION, *measured, "size") if name in table):
         refused[f"column {name!r} is above {LARGEST:.0e}"] = np.abs(table[name]) > LARGEST
     for name in MOTION:
-        again = ~empty[name] & (table[name] != table[name][of_step])
         refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]
-        refused[f"column {name!r} differs from the first row of the step"] = again
+        again = f"column {name!r} is given again at the same time: a step has one motion, in its first row"
+        refused[again] = ~first & ~empty[name]
     if ("size" in table) != ("sigma_size" in table):
         raise RecordingError("columns 'size' and 'sigma_size': only one of them is there")
     for name in (name for name in table if name.startswith("sigma_")):
@@ -157,7 +156,8 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
 
 
 def _motion_sigmas(table: dict[str, Array], motions: Array, first: IntArray) -> Array:
-    """(T, 3) standard deviations of the motions [m, m, rad]."""
+    """(T, 3) standard deviations of the motions [m, m, rad]. The first is where the robot starts, not driven."""
+    motions = np.concatenate([np.zeros((1, 3)), motions[1:]])
     driven = np.hypot(motions[:, 0], motions[:, 1])
     along = _WHEELS[0] + _WHEELS[1] * driven
     turned = _COMPASS[0] + _COMPASS[1] * driven + _COMPASS[2] * np.abs(motions[:, 2])

@@ -29,6 +29,7 @@ _REPLACED_WITHOUT_VIEW = 0.3  # … and where the view is unknown, since few fea
 _IN_VIEW = 0.5  # visibility from which a feature should be in view …
 _NEAR_IN_VIEW = 0.9  # … and a near one: in sound maps of rooms, furniture hides many that are less visible
 _OLD = 100  # [steps] since a feature was last seen
+_SURE = 10  # sightings that a missing feature must have where the view is unknown: people and clutter have fewer
 _SQUARE = 0.75  # [m] side of the squares that tell from where a feature was measured
 _WELL_INSIDE = 0.85  # fraction of the sector: near its edge, a feature may be out of view
 
@@ -93,6 +94,7 @@ class NegativeEvidence:
         if not prediction.has_view:
             self._measured_from.update(_squares(m, paired))
         old = ~prediction.provisional & (m.step - m.last_seen[prediction.features] > _OLD)
+        old &= prediction.has_view | (m.seen[prediction.features] >= _SURE)
         expected = prediction.features[old & self._in_view(prediction, m)] if old.any() else _NO_FEATURES
         absent = len(expected) - int(np.isin(expected, paired).sum())
         self._replaced.append(min(absent, len(paired)))

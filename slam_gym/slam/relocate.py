@@ -133,11 +133,16 @@ class Tracker:
 
     def suspects_slip(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         """Whether the last motion may be an outlier, as after slip: the scan is not believed or, where the view is
-        unknown and doubts are less reliable, its pairings fit worse than errors of a normal motion explain."""
-        if self.lost or len(hypothesis.features) < self.min_expected:
+        unknown and doubts are less reliable, most of it is not paired although it has more measurements than determine
+        a pose, or its pairings fit worse than errors of a normal motion explain."""
+        measured = len(hypothesis.features)
+        if self.lost or measured < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
-        return not (fits or prediction.has_view) or not self._is_believable(scan, prediction, hypothesis)
+        few = measured > self.min_expected and hypothesis.pairings < _BELIEVED * measured
+        if not prediction.has_view and (few or not fits):
+            return True
+        return not self._is_believable(scan, prediction, hypothesis)
 
     def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
         """Whether the hypothesis `after`, for a `prediction` with slip, is jointly compatible, and pairs half of the

@@ -35,6 +35,23 @@ def test_a_table_becomes_a_map_a_path_and_a_picture(tmp_path):
     assert Image.open(tmp_path / "out" / "mine.png").width > 500
 
 
+@pytest.mark.parametrize("claimed", [0.05, 0.15])
+def test_a_map_far_from_the_origin_is_right_and_sigmas_that_are_too_small_are_told(tmp_path, claimed):
+    rng, posts = np.random.default_rng(0), np.array([[x, y] for y in (2.0, 9.0, 16.0) for x in (3.0, 8.0, 13.0, 18.0)])
+    rows = ["time,forward,lateral,turn,x,y,sigma_x,sigma_y"]
+    for step in range(30):
+        for i, (x, y) in enumerate(posts - [0.2 * step, 10.0] + rng.normal(0.0, 0.15, (12, 2))):
+            rows.append(f"{step},{',,' if i else '0.2,0,0' if step else '10000,5000,0'},{x},{y},{claimed},{claimed}")
+    (tmp_path / "cost_$5_$6.csv").write_text("\n".join(rows))
+    result = typed(slam.app, tmp_path / "cost_$5_$6.csv", "--output", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert ("the sigmas are probably too small" in result.output) == (claimed < 0.15)
+    table = pd.read_csv(tmp_path / "cost_$5_$6.map.csv")
+    if claimed == 0.15:
+        found = table.sort_values(["y", "x"], key=lambda places: places.round())[["x", "y"]]
+        np.testing.assert_allclose(found, posts + np.array([10000, 4990]), atol=0.3)
+
+
 def test_a_log_that_is_not_there_is_named(tmp_path):
     result = typed(slam.app, tmp_path / "mine.csv")
     assert result.exit_code == 2 and f"error: {tmp_path / 'mine.csv'}: not there" in result.stderr
