@@ -44,7 +44,7 @@ def main(
     recording: Annotated[
         str | None, Option(metavar="LOG", help="See slam-gym list recordings; or .csv, .npz, .g2o, .txt (iSAM).")
     ] = None,
-    film: Annotated[bool, Option("--film", help="Film the first drive of two to four, side by side.")] = False,
+    film: Annotated[bool, Option("--film", help="Film the first drive of two to four, two by two.")] = False,
 ) -> None:
     """Evaluate associators in the same test worlds, on the scans of the suite, or on a recording."""
     from agents.evaluation.associators import SHIPPED

@@ -1,7 +1,8 @@
 """SLAM on a user's log: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
 
-LOG.map.csv     map, id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame of the
-                first pose; map 0 is the one that the robot is in, others were begun when it was lost
+LOG.map.csv     map, id, x, y [m], standard deviations [m] and sightings of every confirmed feature, in the frame in
+                which the first motion is given; map 0 is the one that the robot is in, others were begun when it was
+                lost
 LOG.path.tum    the robot's pose at every step, for evo and other tools
 LOG.png         features with ellipses of two standard deviations, and the path; maps that are not joined overlap,
                 each in its colour
@@ -17,9 +18,8 @@ from typer import Argument, Option
 from agents.cli import command
 from agents.options import Search, search_of
 
-_DEVIANT = (
-    1.3  # D² of pairings over its degrees of freedom: about 1 where σ are right, 1.5 to 1.9 at two thirds of them
-)
+# D² of pairings over its degrees of freedom: about 1 where the sigmas are right, 1.5 to 1.9 where they are two thirds
+_DEVIANT = 1.3
 
 
 def main(
@@ -61,9 +61,10 @@ def main(
         write_tum(files[1], recording.times, poses)
         figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
         ax = plot_path(poses, figure.subplots(), label="path")
-        for number, colour in reversed(list(zip(range(len(slam.maps)), cycle((BLUE, GREEN, YELLOW, INK))))):
+        drawn = enumerate(zip(slam.maps, cycle((BLUE, GREEN, YELLOW, INK))))
+        for number, (m, colour) in reversed(list(drawn)):  # the active map on top
             ax.plot([], [], "o", ms=3.0, mfc="none", mec=colour, label=f"map {number}, 2σ")
-            plot_map(slam.maps[number], ax, colour=colour)  # the active map on top
+            plot_map(m, ax, colour=colour)
         ax.plot([], [], "o", ms=3.0, mfc="none", mec=GREY, label="not confirmed")
         ax.plot([], [], ">", color=RED, label="robot")
         figure.legend(loc="outside lower center", ncols=4, frameon=False)
@@ -78,7 +79,8 @@ def main(
         if slam.tracker.slips:
             print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}, or the sigmas are too small")
         if mapped.deviation > _DEVIANT:
-            print(f"the sigmas are probably too small: D² of the pairings is {mapped.deviation:.1f} times as expected")
+            times = f"D² of the pairings is {mapped.deviation:.1f} times its expectation"
+            print(f"the sigmas are probably too small: {times}")
         if doubted:
             print(f"{counted(doubted, 'scan')} fitted nowhere and taught the map nothing")
         print("\n".join(f"{file}{' (replaced)' * (file in replaced)}" for file in files))

@@ -210,8 +210,8 @@ def _resume(model: Any, path: Path, about: About) -> None:
         was, now = before.training.get(name), about.training[name]
         if was != now:
             raise ValueError(f"{path} was trained with {name} {was!r}, not {now!r}")
-    same_network, was, now = before.network == about.network, before.hyperparameters.ppo, about.hyperparameters.ppo
-    if not same_network or plain(was) != plain(now):
+    present = {name: getattr(about.hyperparameters, name) for name in ("timesteps", "eval_every", "envs")}
+    if before.network != about.network or replace(before.hyperparameters, **present) != about.hyperparameters:
         raise ValueError(f"{path} was trained on action {before.action!r} with other hyperparameters")
     model.set_parameters(path, device="cpu")  # weights only: nothing is unpickled
     model.num_timesteps = before.timesteps

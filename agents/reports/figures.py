@@ -172,7 +172,7 @@ def maps(errors: Frames, features: Frames, reference: Array, landmarks: Array, c
     handles: dict[str, Any] = {}
     for axis, (name, error) in zip(axes, errors.items()):
         axis.plot(*reference.T, color="#d3dae1", linewidth=3.0, label="reference")
-        axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9, label="path")
+        axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
         _draw_features(axis, features[name], landmarks)
         axis.set_title(legible(name), fontsize=10, loc="left", color=colour[name])
         axis.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))

@@ -62,7 +62,7 @@ def film(
             now = [reel.get(tick) for reel in reels]
             shown = [new or old for new, old in zip(now, shown)]  # the latest of each episode
             pictures = [np.frombuffer(zlib.decompress(packed), np.uint8).reshape(-1, SIZE[0], 3) for packed, _ in shown]
-            picture = _beside([np.vstack([*heading, each]) for heading, each in zip(above, pictures)])
+            picture = _two_by_two([np.vstack([*heading, each]) for heading, each in zip(above, pictures)])
             for _ in range(max(shot[1] for shot in now if shot)):
                 writer.append_data(picture)
     imageio.imwrite(path.with_suffix(".png"), picture)
@@ -92,7 +92,7 @@ def _shots(arguments: ExploreArguments, driver: Driver, episode: int) -> dict[in
     return shots
 
 
-def _beside(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def _two_by_two(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """Pictures of one size two by two; the last stands alone if their number is odd."""
     if len(pictures) == 1:
         return pictures[0]

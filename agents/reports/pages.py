@@ -121,7 +121,7 @@ def drives_page(results: Results, folder: Path) -> Page:
             parts.append(Maps(f"Maps at the end of the first episode of {table.title}", drawn))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
-        parts += [Picture("Over time: interquartile mean over worlds; band: 95 % bootstrap, of several worlds", curves)]
+        parts += [Picture("Over time: interquartile mean over worlds; band: its 95 % bootstrap interval", curves)]
     if len(groups) > 1:
         error = "map_error" if drivers else "map_error_aligned"  # drivers are rewarded by the former
         gaps: Rows = {

@@ -77,8 +77,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             **arguments: arguments of every single environment.
         """
         check_count("num_envs", num_envs)
-        if workers != 0:
-            check_count("workers", 1 if workers is None else workers)
+        check_count("workers", workers or 1)  # 0 and None have a meaning of their own
         num_envs = int(num_envs)
         scenario = arguments.get("scenario")
         if isinstance(scenario, str):  # workers do not know those that the caller's script has registered

@@ -5,8 +5,9 @@
     0.0,,,,6.0,-2.0
     0.5,1.0,0.0,0.02,7.0,0.9
 
-`time` [s]: consecutive rows with the same time are one step. `forward`, `lateral`, `turn` [m, m, rad]: the motion since
-the previous step, in the frame of the robot at that step. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
+`time` [s]: consecutive rows with the same time are one step, whose motion only the first of them has. `forward`,
+`lateral`, `turn` [m, m, rad]: the motion since the previous step, in the frame of the robot at that step; in the first
+step, where the robot starts. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
 [m, rad]: a measurement, empty in a step without measurements. Optional: standard deviations of the motion and the
 measurement, in columns with the prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 if
 spurious, −2 or empty if unknown.
@@ -34,7 +35,8 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
     """Read a log from a CSV table (see the module's docstring).
 
     Without `sigma_` columns, the standard deviations of a motion over d [m] that turns by a [rad] are 0.02 + 0.01 d [m]
-    and 0.01 + 0.02 d + 0.05 |a| [rad], those of a point 0.05 m, of a range 0.05 m and of a bearing 0.01 rad.
+    and 0.01 + 0.02 d + 0.05 |a| [rad], those of the start 0.02 m and 0.01 rad, of a point 0.05 m, of a range 0.05 m and
+    of a bearing 0.01 rad.
 
     Arguments:
         path: path of the table.

@@ -137,6 +137,8 @@ class Canvas:
 
     def tint(self, points: Array, covariances: Array, colour: Colour) -> None:
         """Multiply the picture by `colour` in 95 % ellipses, as `ellipses`: what is below them can still be seen."""
+        if len(points) == 0:
+            return
         below, self.surface = self.surface, pygame.Surface(self.surface.get_size(), depth=32)
         self.surface.fill((255, 255, 255))
         self.ellipses(points, covariances, colour, None)

@@ -97,7 +97,7 @@ def _figures(episode: Episode) -> Figures:
         ("mapped", str(int((~slam_map.provisional).sum()))),
         ("true features", str(len(episode.targets))),
         ("paired right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
-        ("pose error", "–" if len(episode.slam.maps) > 1 else distance),  # nobody knows where a second map lies
+        ("pose error", "–" if len(episode.slam.maps) > 1 else distance),  # where a second map lies is unknown
         *_whereabouts(episode),
     )
 
@@ -109,7 +109,7 @@ def _whereabouts(episode: Episode) -> Figures:
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"at {kidnapping.happened}"),)
     states = {"is lost": slam.lost, "in doubt": slam.doubted, "missed a loop": slam.missed_loop}
-    states |= {"in a new map": len(slam.maps) > 1}
+    states |= {"has several maps": len(slam.maps) > 1}
     for state, holds in states.items():
         if holds:
             return (*rows, ("robot", state))

@@ -123,9 +123,9 @@ def badges(picture: Any, points: Sequence[Point], taken: Sequence[Point]) -> Non
     centres = list(taken)
     for x, y in points:
         spots = [(x + r * dx, y + r * dy) for r in (17, 27, 38) for dx, dy in _AROUND]
-        clear = [spot for spot in spots if all(math.dist(spot, other) > _BADGE_DISTANCE for other in centres)]
-        inside = [spot for spot in clear or spots if _BADGE < spot[0] < MAP[0] - _BADGE]
-        centres.append((inside or spots)[0])
+        inside = [(u, v) for u, v in spots if _BADGE < u < MAP[0] - _BADGE and _BADGE < v < MAP[1] - _BADGE]
+        clear = [spot for spot in inside if all(math.dist(spot, other) > _BADGE_DISTANCE for other in centres)]
+        centres.append((clear or inside or spots)[0])
         pygame.draw.aaline(picture, symbols.PLAN, (x, y), centres[-1])
     for action, centre in enumerate(centres[len(taken) :]):
         badge(picture, centre, str(action))

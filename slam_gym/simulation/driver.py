@@ -18,6 +18,7 @@ KEEP = 1.1  # a path is kept until a new one is shorter by more than this factor
 APART = 0.2  # [m] between the points at which a path is checked
 AHEAD, AROUND = 15.0, 6.0  # [m] length of the path that is replanned at once, and margin of the space around it
 NEAR_ENOUGH = 1.5  # [m] from an unreachable goal to a reachable place that may replace it
+IN_VAIN = 5  # attempts at a goal after which a robot that stands near it squeezes through a narrow passage
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] a goal is given up if so many ticks bring the robot less near
 
 Command = tuple[float, float]  # fractions in [−1, 1] of the maximal forward and turning speed
@@ -90,13 +91,22 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: Distanc
             return path
         if len(fresh):
             return np.concatenate([fresh, rest])
-    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, ways)
+    least = ARRIVED if episode.tried.times(goal[None])[0] >= IN_VAIN else 0.0
+    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, ways, least)
 
 
-def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, ways: DistanceField | None = None) -> Array:
+def way_to(
+    grid: ExploredGrid,
+    radius: float,
+    here: Array,
+    goal: Array,
+    ways: DistanceField | None = None,
+    least: float = 0.0,
+) -> Array:
     """A path (p, 2) from `here` to `goal`, or to a place less than `NEAR_ENOUGH` from it, or (0, 2).
 
-    `radius` [m] is that of the robot; `ways` are the paths from `here` at the first of its `clearances`, if known.
+    `radius` [m] is that of the robot; `ways` are the paths from `here` at the first of its `clearances`, if known. A
+    place near the goal must be at `least` so far [m] from `here`, or else the way leads through narrow passages.
     """
     for clearance in clearances(radius):
         field, ways = ways or distance_field(grid, here, clearance), None
@@ -104,7 +114,7 @@ def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, ways: Di
         if len(fresh):
             return fresh
         nearby = field.nearest(goal)
-        if math.dist(nearby, goal) < NEAR_ENOUGH and math.dist(nearby, here) >= ARRIVED:
+        if math.dist(nearby, goal) < NEAR_ENOUGH and math.dist(nearby, here) >= least:
             return field.path(nearby)
     return np.empty((0, 2))
 

@@ -42,9 +42,10 @@ class NegativeEvidence:
     know where it is: from a wrong pose, all features seem to be absent.
 
     **A loop is missed** where old features are absent, and others are paired in their place. Old are established
-    features that were last seen more than 100 steps ago. Where the prediction does not tell what is in view, a feature
-    should be if one of the looks before measured it from about here (within a metre or so), so that no wall hides it,
-    and lies well inside the sector in which anything was measured so far.
+    features that were last seen more than 100 steps ago. Where the prediction does not tell what is in view, they were
+    also seen in ten scans or more. They should then be in view if one of the looks before measured them from about here
+    (within a metre or so), so that no wall hides them, and they lie well inside the sector in which anything was
+    measured so far.
 
     Arguments:
         tracker: knows that sector; None: without a view, no loop is noticed to be missed.

@@ -132,15 +132,19 @@ class Tracker:
         return True
 
     def suspects_slip(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Whether the last motion may be an outlier, as after slip: the scan is not believed or, where the view is
-        unknown and doubts are less reliable, most of it is not paired although it has more measurements than determine
-        a pose, or its pairings fit worse than errors of a normal motion explain."""
-        measured = len(hypothesis.features)
+        """Whether the last motion may be an outlier, as after slip: the scan is not believed.
+
+        Where the view is unknown, doubts are less reliable. A slip is then also suspected where the pairings fit worse
+        than errors of a normal motion explain, or a scan of more than `min_expected` measurements suddenly pairs less
+        than half of them.
+        """
+        measured, last = len(hypothesis.features), self._last_paired
         if self.lost or measured < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
         few = measured > self.min_expected and hypothesis.pairings < _BELIEVED * measured
-        if not prediction.has_view and (few or not fits):
+        before = np.count_nonzero(last != UNPAIRED) >= _BELIEVED * len(last)
+        if not prediction.has_view and ((few and before) or not fits):
             return True
         return not self._is_believable(scan, prediction, hypothesis)
 

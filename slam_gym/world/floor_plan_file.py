@@ -207,7 +207,8 @@ def _read_image(path: Path) -> NDArray[Any]:
 
             coded = np.frombuffer(content_of(path), np.uint8)
             whole: Any = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
-            if whole is not None and whole.shape[2:] == (4,) and whole[..., 3].min() < np.iinfo(whole.dtype).max:
+            has_alpha = whole is not None and whole.shape[2:] == (4,) and whole.dtype.kind == "u"
+            if has_alpha and whole[..., 3].min() < np.iinfo(whole.dtype).max:
                 raise ValueError("has transparent pixels, which may be wall or free space: make them opaque")
             image = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
     except (ValueError, OSError) as error:

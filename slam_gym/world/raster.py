@@ -75,6 +75,8 @@ def from_raster(
         narrow = f"wider than 0.5 m is lighter than {FREE_ABOVE} (the lightest pixel is {int(occupancy.max())})"
         raise FloorPlanError("occupancy", f"no free space: no part of a floor {narrow}; is the resolution right?")
     outlines = trace(free, resolution, _MEASURED) if valid is None else _trace_drawn(free, resolution)
+    if not outlines:
+        raise FloorPlanError("occupancy", "no free space: its floor is a single pixel; is the resolution right?")
     frame = _Frame(free.shape[0], resolution, origin)
     rings = [frame(outline.ring) for outline in outlines]
     rooms, doors = ((_keyhole("floor", rings),), ()) if valid is None else _rooms_and_doors(free, valid, frame)
@@ -109,7 +111,7 @@ def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | N
         raise FloorPlanError("occupancy", f"has more than {MAX_PIXELS >> 20} million pixels: scale it down")
     width = _OPENING / resolution  # [pixels], by most of which the image is padded
     if valid is None and math.prod(size + 1.5 * width for size in occupancy.shape) * width**2 > _MAX_OPENING:
-        raise FloorPlanError("resolution", "is too fine for so many pixels: scale the image down, or is it wrong?")
+        raise FloorPlanError("resolution", "is too fine for so many pixels: scale the image down, or correct it")
     if valid is not None and (valid.shape != occupancy.shape or valid.dtype.kind not in "iu"):
         raise FloorPlanError("valid", f"{valid.dtype} {valid.shape}: expected integers {occupancy.shape}")
     return occupancy.astype(np.uint8) * np.uint8(255) if occupancy.dtype == np.bool_ else occupancy
@@ -179,11 +181,11 @@ def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
 def _keyhole(name: str, rings: list[Array]) -> Room:
     """The room within the largest of the outlines `rings`, each (p, 2) [m], without what the others enclose.
 
-    Its outline goes to each of them and back, since they run the other way.
+    Its polygon goes from a corner to each of these, round it, and back.
     """
-    outer = max(range(len(rings)), key=lambda k: Room(name, rings[k]).area)
-    outlines = [rings[outer], *rings[:outer], *rings[outer + 1 :]]
-    return Room(name, np.vstack([part for ring in outlines for part in (ring, ring[:1], outlines[0][:1])]))
+    outer, *inner = sorted(rings, key=lambda ring: -Room(name, ring).area)
+    # of these, OpenCV traces the inner ones the other way, so that areas are right
+    return Room(name, np.vstack([outer, *(part for ring in inner for part in (outer[:1], ring, ring[:1]))]))
 
 
 def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
@@ -310,8 +312,8 @@ def _trace_drawn(mask: Mask, pixel: float) -> list[Outline]:
 
 
 def _without_gaps(mask: Mask) -> Mask:
-    """`mask` (h, w) without the gaps of oblique walls that are one pixel thick: free pixels that touch only diagonally,
-    between two that are not free, are not connected."""
+    """`mask` (h, w) without the gaps of oblique walls that are one pixel thick: of two free pixels that touch only
+    diagonally, between two that are not free, the upper one becomes wall."""
     mask = mask.copy()
     while True:
         a, b, c, d = mask[:-1, :-1] > 0, mask[:-1, 1:] > 0, mask[1:, :-1] > 0, mask[1:, 1:] > 0

@@ -65,7 +65,7 @@ def test_columns_for_deviations_sizes_and_identities_are_used(tmp_path):
         (HEAD.strip() + ",sigma_x,sigma_y\n0,0,0,0,1,1,1e-9,1\n", "measurement 0: covariance has a condition number"),
         (HEAD + "0,0,0,0,1,1\n\n0,,,,1,\n", "line 4: only one of 'x' and 'y' is given"),
         (HEAD + "0,0,0,0,1,1\n1,,0,0,1,1\n", "line 3: column 'forward' is empty in the first row of a step"),
-        (HEAD + "0,0,0,0,1,1\n0,1,,,1,1\n", "line 3: column 'forward' is given again at the same time"),
+        (HEAD + "0,0,0,0,1,1\n0,0,,,1,1\n", "line 3: column 'forward' is given again at the same time"),
         (HEAD + "1,0,0,0,1,1\n0,0,0,0,1,1\n", "line 3: column 'time' descends"),
         (HEAD + ",0,0,0,1,1\n", "line 2: column 'time' is empty"),
         (HEAD.strip() + ",sigma_x\n0,0,0,0,1,1,0\n", "line 2: column 'sigma_x' is not above 0"),

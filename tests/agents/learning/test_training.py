@@ -98,14 +98,11 @@ def test_a_resumed_training_goes_on_from_its_weights_and_count(driver):
     with zipfile.ZipFile(driver) as archive, archive.open("policy.optimizer.pth") as file:
         before = [int(state["step"]) for state in torch.load(file, weights_only=True)["state"].values()]
     quick, faster = driver.parent.parent / "quick.toml", driver.parent.parent / "faster.toml"
-    faster.write_text(quick.read_text().replace("gamma = 0.98", "gamma = 0.5"))
-    with pytest.raises(ValueError, match="with other hyperparameters"):
-        train(
-            "goal",
-            [DRIVE],
-            Training(48, 3, driver.parent, True, faster, envs=1, eval_every=16, eval_episodes=1),
-            "nowhere",
-        )
+    how = {"seed": 3, "output": driver.parent, "resume": True, "envs": 1, "eval_every": 16, "eval_episodes": 1}
+    for was, now in (("gamma = 0.98", "gamma = 0.5"), ("reward_scale = ", "reward_scale = 7")):
+        faster.write_text(quick.read_text().replace(was, now))
+        with pytest.raises(ValueError, match="with other hyperparameters"):
+            train("goal", [DRIVE], Training(48, hyperparameters=faster, **how), "nowhere")
     for early in driver.parent.glob("checkpoints/*.zip"):
         os.utime(early)  # as in a folder that was copied
     (driver.parent / "checkpoints" / "model_99_steps.zip").write_bytes(driver.read_bytes()[:3000])  # a killed training
