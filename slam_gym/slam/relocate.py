@@ -104,6 +104,7 @@ class Tracker:
         self._last_paired: IntArray = np.empty(0, np.int64)
         # (m,) features paired by the last believed scan that measured anything, or UNPAIRED
         self._accidental = 0  # scans in a row whose pairings may all be accidental
+        self._hardly_paired = 0  # scans in a row that were believed with less than half of their measurements paired
         self._least_cosine = 1.0  # of the bearings of all measurements so far …
         self._farthest = 0.0  # [m] … and the greatest of their distances
 
@@ -128,6 +129,8 @@ class Tracker:
         if self._pairs_by_chance(scan, prediction, hypothesis):
             self.doubted, self._accidental = self.scans, 0  # lost
             return False
+        is_paired = hypothesis.pairings >= _BELIEVED * len(scan)
+        self._hardly_paired = 0 if is_paired else self._hardly_paired + 1
         self.accept(hypothesis)
         return True
 
@@ -135,16 +138,15 @@ class Tracker:
         """Whether the last motion may be an outlier, as after slip: the scan is not believed.
 
         Where the view is unknown, doubts are less reliable. A slip is then also suspected where the pairings fit worse
-        than errors of a normal motion explain, or a scan of more than `min_expected` measurements suddenly pairs less
-        than half of them.
+        than errors of a normal motion explain, or a scan of more than `min_expected` measurements pairs less than half
+        of them, unless the last `scans` scans did so, too.
         """
-        measured, last = len(hypothesis.features), self._last_paired
+        measured = len(hypothesis.features)
         if self.lost or measured < self.min_expected:
             return False
         fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
         few = measured > self.min_expected and hypothesis.pairings < _BELIEVED * measured
-        before = np.count_nonzero(last != UNPAIRED) >= _BELIEVED * len(last)
-        if not prediction.has_view and ((few and before) or not fits):
+        if not prediction.has_view and ((few and self._hardly_paired < self.scans) or not fits):
             return True
         return not self._is_believable(scan, prediction, hypothesis)
 
@@ -184,7 +186,7 @@ class Tracker:
 
     def forget(self) -> None:
         """Reset the counts for another map."""
-        self.doubted, self._accidental, self._last_paired = 0, 0, self._last_paired[:0]
+        self.doubted, self._accidental, self._hardly_paired, self._last_paired = 0, 0, 0, self._last_paired[:0]
 
     def renumber(self, became: IntArray) -> None:
         """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""

@@ -184,10 +184,11 @@ class Slam:
         """Update the map with the pairings, add new features, and remove those that were not confirmed or do not exist.
 
         `hypothesis.new` says which measurements start a feature. If it is None, a measurement starts one if it is
-        unpaired *and* individually compatible with no predicted feature and, where the view is unknown, with no other
-        new one: a measurement that is compatible but unpaired more likely comes from that feature, and is discarded.
-        A gate of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: over hundreds
-        of scans a wider gate pays off (`new_confidence`).
+        unpaired *and* individually compatible with no predicted feature: a measurement that is compatible but unpaired
+        more likely comes from a mapped feature, and is discarded. A gate of confidence γ turns away 1 − γ of the right
+        pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
+        With it, where the view is unknown, no measurement starts a feature that is compatible with another new one of
+        its scan: a detector may report a feature twice.
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
         if self._moved < self.spec.error_length and count:
@@ -383,7 +384,8 @@ class Slam:
         """The settings that `learn` takes."""
         spec = self.spec.map
         before = self.map.step - spec.unconfirmed_age if spec.unconfirmed_age is not None else -1
-        gates = self._new_gate, self._gate if self.view_from is None else 0.0
+        is_apart = self.view_from is None and self.spec.new_confidence is not None
+        gates = self._new_gate, self._gate if is_apart else 0.0
         return spec.iterations, float(spec.settled), spec.right_invariant, *gates, spec.confirmations, before
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:

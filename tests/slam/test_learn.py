@@ -11,6 +11,7 @@ from slam_gym.association.compatibility import chi2_gate, individual
 from slam_gym.association.prediction import predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.scenarios import LOG_SETTINGS
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Hypothesis, Odometry, Scan
 from tests.rollouts import explore
@@ -31,7 +32,9 @@ class WrittenOut:
         m.update(scan, hypothesis.features)
         left = np.flatnonzero(hypothesis.features == UNPAIRED)
         starts = individual(scan, prediction, self.spec.new_confidence, measurements=left).starts
-        fit_nothing = np.array(apart(scan, left[starts[1:] == starts[:-1]]), np.int64)
+        fit_nothing = left[starts[1:] == starts[:-1]]
+        if self.spec.new_confidence is not None:
+            fit_nothing = np.array(apart(scan, fit_nothing), np.int64)
         new = fit_nothing if hypothesis.new is None else np.flatnonzero(hypothesis.new)
         behind, created = hypothesis.features.copy(), np.zeros(len(scan), np.bool_)
         behind[new], created[new] = m.add(scan, new), True
@@ -114,7 +117,7 @@ def test_a_scan_larger_than_any_before_finds_room() -> None:
 
 def test_a_feature_that_is_measured_twice_in_every_scan_is_mapped_once() -> None:
     rng, posts, still = np.random.default_rng(0), np.array([[3.0, 0.0], [4.0, 2.0], [5.0, -1.5]]), np.zeros(3)
-    slam = Slam()
+    slam = Slam(LOG_SETTINGS)
     for _ in range(20):
         points = np.repeat(posts + rng.normal(0.0, 0.04, (3, 2)), 2, axis=0) + rng.normal(0.0, 0.02, (6, 2))
         slam.step(Odometry.from_motion(still, [0.01, 0.01, 0.002]), Scan.from_points(points, sigma=0.05))
