@@ -144,23 +144,33 @@ class Tracker:
         measured = len(hypothesis.features)
         if self.lost or measured < self.min_expected:
             return False
-        fits = hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
         few = measured > self.min_expected and hypothesis.pairings < _BELIEVED * measured
-        if not prediction.has_view and ((few and self._hardly_paired < self.scans) or not fits):
+        if not prediction.has_view and ((few and self._hardly_paired < self.scans) or not _fits(hypothesis)):
             return True
         return not self._is_believable(scan, prediction, hypothesis)
 
-    def confirms_slip(self, before: Hypothesis, prediction: Prediction, after: Hypothesis) -> bool:
-        """Whether the hypothesis `after`, for a `prediction` with slip, is jointly compatible, and pairs half of the
-        scan with established features and no less than the one `before`. Where the view is unknown, and gates are
-        wider, it must pair most of the scan."""
-        established = _pairings_with(*prediction.counted, prediction.confirmations, after.features)
-        paired = int(np.count_nonzero(before.features != UNPAIRED))
-        least = max(self.min_expected, paired, _EXPLAINED * len(after.features))
-        if not prediction.has_view and after.pairings < _SLIPPED * len(after.features):
+    def confirms_slip(
+        self, scan: Scan, before: tuple[Prediction, Hypothesis], after: tuple[Prediction, Hypothesis]
+    ) -> bool:
+        """Whether the hypothesis `after`, for a prediction with slip, is jointly compatible, and pairs half of the scan
+        with established features and no less than the one `before`.
+
+        Where the view is unknown, and gates are wider, it must pair most of the scan. If the pairings `before` are
+        believed and fit, chance must also bring those `after` less often than them, and hardly ever.
+        """
+        (prediction, hypothesis), measured = after, len(after[1].features)
+        established = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
+        paired = int(np.count_nonzero(before[1].features != UNPAIRED))
+        if established < max(self.min_expected, paired, _EXPLAINED * measured) or not _fits(hypothesis):
             return False
-        fits = after.joint_distance < chi2_gate(max(after.dof, 1), _SLIP_CONFIDENCE)
-        return established >= least and fits
+        if prediction.has_view:
+            return True
+        if hypothesis.pairings < _SLIPPED * measured:
+            return False
+        if not _fits(before[1]) or not self._is_believable(scan, *before):
+            return True
+        by_chance = log_expected_pairings(scan, before[0], before[1].features)
+        return log_expected_pairings(scan, prediction, hypothesis.features) < min(by_chance, _HARDLY_ACCIDENTAL)
 
     def look(self, points: Array) -> None:
         """Learn from measurements (m, 2) [m] in R how far the sensor can look, ahead and to either side."""
@@ -245,6 +255,11 @@ class Tracker:
             return paired & self.in_sector(prediction.positions)
         in_view: BoolArray = (visibility >= _EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
         return in_view if self.lost else in_view & prediction.near
+
+
+def _fits(hypothesis: Hypothesis) -> bool:
+    """Whether the pairings fit as errors of a normal motion explain."""
+    return hypothesis.joint_distance < chi2_gate(max(hypothesis.dof, 1), _SLIP_CONFIDENCE)
 
 
 @compiled

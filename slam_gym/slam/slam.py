@@ -187,8 +187,6 @@ class Slam:
         unpaired *and* individually compatible with no predicted feature: a measurement that is compatible but unpaired
         more likely comes from a mapped feature, and is discarded. A gate of confidence γ turns away 1 − γ of the right
         pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
-        With it, where the view is unknown, no measurement starts a feature that is compatible with another new one of
-        its scan: a detector may report a feature twice.
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
         if self._moved < self.spec.error_length and count:
@@ -338,7 +336,7 @@ class Slam:
         slipped = Odometry(np.zeros(3), (factor - 1.0) * turned @ Q @ turned.T)
         prediction_after = self._predict(slipped, scan, self._most_accidental)
         after = marginal(scan, prediction_after)
-        if self.tracker.confirms_slip(hypothesis, prediction_after, after):
+        if self.tracker.confirms_slip(scan, (prediction, hypothesis), (prediction_after, after)):
             self.tracker.slips += 1
             weighs_all = hypothesis.experience is not None
             return prediction_after, after if weighs_all else replace(after, experience=None)
@@ -384,9 +382,7 @@ class Slam:
         """The settings that `learn` takes."""
         spec = self.spec.map
         before = self.map.step - spec.unconfirmed_age if spec.unconfirmed_age is not None else -1
-        is_apart = self.view_from is None and self.spec.new_confidence is not None
-        gates = self._new_gate, self._gate if is_apart else 0.0
-        return spec.iterations, float(spec.settled), spec.right_invariant, *gates, spec.confirmations, before
+        return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""

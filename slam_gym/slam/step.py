@@ -10,9 +10,9 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
 
-Settings = tuple[int, float, bool, float, float, int, int]
-"""Iterations; σ that settles them; right-invariant; χ² gates of a new feature, to features of the map and to others of
-its scan; sightings that confirm; step before which a feature must have been confirmed."""
+Settings = tuple[int, float, bool, float, int, int]
+"""Iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
+a feature must have been confirmed."""
 
 
 @compiled
@@ -46,10 +46,9 @@ def learn(
     """
     (x, P, counted, _), (n, step, next_id) = arrays, numbers
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
-    (iterations, settled, invariant, gate, apart, confirmations, before), m, added = settings, len(features), 0
+    (iterations, settled, invariant, gate, confirmations, before), m, added = settings, len(features), 0
     if not is_decided:
         fit_nothing(points, covariances, features, expected, gate, new)
-        keep_apart(points, covariances, apart, new)
     for i in range(m):  # before anything is changed
         if new[i]:
             ekf.check_measurement(points, covariances, i)
@@ -89,17 +88,3 @@ def fit_nothing(
     candidates = gate_pairings((points, noise), expected, unpaired, every_row, gate, 1)
     new[:] = False
     new[unpaired] = candidates.starts[1:] == candidates.starts[:-1]
-
-
-@compiled
-def keep_apart(points: Array, noise: Array, gate: float, new: BoolArray) -> None:
-    """Remove from `new` (m,) the measurements that lie within the χ² `gate` of an earlier one of them: a detector may
-    report one feature twice in a scan. Gate 0: none."""
-    for i in np.flatnonzero(new):
-        for j in range(i):
-            if new[j]:
-                S, (x, y) = noise[i] + noise[j], points[i] - points[j]
-                squared = x * x * S[1, 1] - x * y * (S[0, 1] + S[1, 0]) + y * y * S[0, 0]
-                if squared < gate * (S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]):
-                    new[i] = False
-                    break

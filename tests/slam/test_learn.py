@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb
-from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.scenarios import LOG_SETTINGS
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Hypothesis, Odometry, Scan
 from tests.rollouts import explore
@@ -32,10 +31,7 @@ class WrittenOut:
         m.update(scan, hypothesis.features)
         left = np.flatnonzero(hypothesis.features == UNPAIRED)
         starts = individual(scan, prediction, self.spec.new_confidence, measurements=left).starts
-        fit_nothing = left[starts[1:] == starts[:-1]]
-        if self.spec.new_confidence is not None:
-            fit_nothing = np.array(apart(scan, fit_nothing), np.int64)
-        new = fit_nothing if hypothesis.new is None else np.flatnonzero(hypothesis.new)
+        new = left[starts[1:] == starts[:-1]] if hypothesis.new is None else np.flatnonzero(hypothesis.new)
         behind, created = hypothesis.features.copy(), np.zeros(len(scan), np.bool_)
         behind[new], created[new] = m.add(scan, new), True
         ids = np.where(behind == UNPAIRED, NO_ID, m.ids[behind])
@@ -52,16 +48,6 @@ class WrittenOut:
         removed = m.ids[unconfirmed]
         self.graph.keep(m.remove(unconfirmed))
         return removed
-
-
-def apart(scan: Scan, new: Any) -> list[int]:
-    """Those of the `new` measurements that are compatible with no earlier one of them."""
-    kept: list[int] = []
-    for i in new:
-        pairs = [(scan.points[i] - scan.points[j], scan.covariances[i] + scan.covariances[j]) for j in kept]
-        if all(d @ np.linalg.solve(S, d) >= chi2_gate(2, 0.99) for d, S in pairs):
-            kept.append(i)
-    return kept
 
 
 def everything_new(scan: Scan, prediction: Any) -> Hypothesis:
@@ -113,12 +99,3 @@ def test_a_scan_larger_than_any_before_finds_room() -> None:
         assert (step.ids != NO_ID).all()
     assert slam.map.n == 150 and len(slam.covisibility.neighbours(7)) == 149
     np.testing.assert_allclose(slam.map.positions, points, atol=0.05)
-
-
-def test_a_feature_that_is_measured_twice_in_every_scan_is_mapped_once() -> None:
-    rng, posts, still = np.random.default_rng(0), np.array([[3.0, 0.0], [4.0, 2.0], [5.0, -1.5]]), np.zeros(3)
-    slam = Slam(LOG_SETTINGS)
-    for _ in range(20):
-        points = np.repeat(posts + rng.normal(0.0, 0.04, (3, 2)), 2, axis=0) + rng.normal(0.0, 0.02, (6, 2))
-        slam.step(Odometry.from_motion(still, [0.01, 0.01, 0.002]), Scan.from_points(points, sigma=0.05))
-    np.testing.assert_allclose(slam.map.positions, posts, atol=0.1)

@@ -180,8 +180,8 @@ def test_slip_is_suspected_where_pairings_are_few_or_without_a_view_fit_badly_an
     assert not doubts(tracker, ahead, paired(FEATURES)) and tracker.suspects_slip(scan, ahead, paired(4))
     for made, least in ((ahead, 8), (ahead.with_visibility(np.ones(FEATURES)), 5)):
         for after, confirmed in ((paired(least), True), (paired(least - 1), False), (badly, False)):
-            assert tracker.confirms_slip(paired(4), made, after) is confirmed
-        assert not tracker.confirms_slip(paired(least + 1), made, paired(least))
+            assert tracker.confirms_slip(scan, (made, paired(0)), (made, after)) is confirmed
+        assert not tracker.confirms_slip(scan, (made, paired(least + 1)), (made, paired(least)))
 
 
 def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
