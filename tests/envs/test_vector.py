@@ -258,7 +258,6 @@ def test_a_worker_that_is_killed_is_told_of() -> None:
     [
         ({"num_envs": 0}, "num_envs: expected a whole number"),
         ({"workers": -1}, "workers: expected a whole number"),
-        ({"workers": True}, "workers: expected a whole number"),
         ({"scenario": "atlantis"}, "atlantis.*office-small"),
         ({"autoreset_mode": "Sometimes"}, "Sometimes"),
     ],

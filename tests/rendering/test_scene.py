@@ -123,13 +123,3 @@ def test_what_is_not_in_the_scene_is_not_in_the_legend() -> None:
     for colour, name in ((symbols.PERSON[0], "people"), (symbols.FURNITURE[0], "furniture"), (symbols.PLAN, "goals")):
         for shown in (ALL, ALL - {name}):
             assert (pixels(legend(shown, True)) == colour).all(axis=2).any() == (name in shown)
-
-
-def test_every_decision_has_a_colour_and_every_kind_of_feature_a_shape() -> None:
-    assert set(symbols.DECISIONS) == set(Decision)
-    shapes = []
-    for kind in range(3):
-        canvas = Canvas((40, 40), (0.0, 0.0), 1.0, symbols.PAPER)
-        symbols.true_features(canvas, np.array([[20.0, 20.0]]), np.array([kind]), 8.0)
-        shapes.append(pixels(canvas.picture()).tobytes())
-    assert len(set(shapes)) == 3

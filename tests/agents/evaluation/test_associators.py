@@ -63,17 +63,6 @@ def test_the_meter_changes_nothing_and_counts_every_scan(finished):
     assert math.isnan(meter.effort()["nodes"])
 
 
-def test_relocations_are_compared_under_names_of_their_own():
-    both, one = (
-        associator_evaluation(["jcbb", "true_association"], [SMALL], "random", range(1), relocations).tasks
-        for relocations in ([None, "gcbb"], ["gcbb"])
-    )
-    names = ["jcbb", "jcbb + gcbb", "true_association", "true_association + gcbb"]
-    assert [task.keys[0].name for task in both] == names
-    assert [task.run.args[1].relocation for task in both] == [None, "gcbb"] * 2
-    assert [task.keys[0].name for task in one] == names[::2] and one[0].run.args[1].relocation == "gcbb"
-
-
 # -- the headline ------------------------------------------------------------------------------------------------------
 
 GAP = {"jcbb": 0.3, "jcbb + gcbb": 0.1, "true_association": 0.0, "true_association + gcbb": 0.05}

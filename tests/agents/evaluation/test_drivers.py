@@ -8,8 +8,6 @@ import pytest
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments, driver_evaluation, drivers_of, run_episode
 from agents.evaluation.pipeline import carry_out
-from agents.reports.pages import drive_tables
-from slam_gym.metrics.statistics import interquartile_mean
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +23,6 @@ def test_every_agent_drives_the_same_episodes(finished):
     assert list(frame["episode"]) == [0, 0, 1, 1, 2, 2] and set(frame["ticks"]) == {80}
     starts = {(k, json.loads(curve)["coverage"][0]) for k, curve in zip(frame["episode"], frame["curve"])}
     assert len(starts) == 3  # coverage before the first step is a fingerprint of world and start
-
-
-def test_the_table_is_that_of_the_results(finished):
-    (table,), frame = drive_tables(finished), finished.frame
-    assert list(table.rows) == ["random", "nearest_frontier"] and table.title == "office-small, 3 episodes"
-    values = frame.loc[frame["name"] == "random", "map_error"].to_numpy()
-    assert table.rows["random"]["map_error"].estimate == interquartile_mean(values)
 
 
 # --- episodes agree with themselves, whoever watches; arguments are those that the environments take ------------------
@@ -60,13 +51,3 @@ def test_a_record_agrees_with_itself_and_watching_does_not_change_it():
     assert seen == list(range(1, 301))
     timed = {"seconds": 0.0, "ticks_per_second": 0.0}
     assert str(watched | timed) == str(record | timed)
-
-
-def test_arguments_are_those_of_the_environment_and_hashable():
-    changed = ExploreArguments("office-small", (("sensor.range", 4.0), ("budget", 20)))
-    env = changed.make("twist")
-    assert (env.unwrapped.scenario.sensor.range, env.unwrapped.scenario.budget) == (4.0, 20)
-    assert changed.plain["overrides"] == {"sensor.range": 4.0, "budget": 20} and hash(changed) != hash(SMALL)
-    assert ExploreArguments("clutter/1").make("goal").unwrapped.scenario.sensor.clutter == 3.0
-    with pytest.raises(ValueError, match=r"sensor\.rang.*range"):
-        ExploreArguments("office-small", (("sensor.rang", 4.0),)).make("goal")

@@ -10,10 +10,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from threadpoolctl import threadpool_info
 
 from agents.evaluation.episodes import Driver, ExploreArguments, associator_evaluation, driver_evaluation
-from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results, run_all
+from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results
 from agents.options import Suite
 from agents.suite import suite_evaluation
 from slam_gym.association.tracking.ppo import INPUTS, SHAPES, VERSION
@@ -155,18 +154,6 @@ def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, c
         read_results(tmp_path)
     with pytest.raises(ValueError, match=file):
         carry_out(counting([task(0)]), tmp_path, **RESUMED)
-
-
-def square(number):
-    return number**2, os.getpid(), [pool["num_threads"] for pool in threadpool_info()]
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_every_call_is_answered_once_on_one_thread(jobs):
-    found = list(run_all([partial(square, k) for k in range(10)], jobs))
-    assert sorted(value for value, _, _ in found) == [k**2 for k in range(10)]
-    assert (os.getpid() in {pid for _, pid, _ in found}) == (jobs == 1)
-    assert {count for _, _, threads in found for count in threads} <= {1}
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a disk that is full")
