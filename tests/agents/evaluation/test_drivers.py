@@ -25,8 +25,6 @@ def test_every_agent_drives_the_same_episodes(finished):
     assert len(starts) == 3  # coverage before the first step is a fingerprint of world and start
 
 
-# --- episodes agree with themselves, whoever watches; arguments are those that the environments take ------------------
-
 SMALL = ExploreArguments("office-small")
 
 
