@@ -79,7 +79,7 @@ def main(
         raise ValueError(f"--dataset {dataset}: each of the {len(worlds)} scenarios has a data set of its own")
     data_sets = {dataset or f"slam_gym/{stem(each.scenario)}/{stem(associator)}-v0": each for each in worlds}
     if len(data_sets) < len(worlds):
-        raise ValueError(f"--scenario: {len(worlds)} scenarios, but only the data sets {', '.join(data_sets)}")
+        raise ValueError(f"--scenario: some share a data set, since only {', '.join(data_sets)} would be written")
     for name in data_sets:
         try:
             parse_dataset_id(name)

@@ -7,10 +7,10 @@
 
 `time` [s]: consecutive rows with the same time are one step, whose motion only the first of them has. `forward`,
 `lateral`, `turn` [m, m, rad]: the motion since the previous step, in the frame of the robot at that step; in the first
-step, where the robot starts. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
-[m, rad]: a measurement, empty in a step without measurements. Optional: standard deviations of the motion and the
-measurement, in columns with the prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 if
-spurious, −2 or empty if unknown.
+step, where the robot starts. `x`, `y` [m] ahead and to the left, or `range`, `bearing` [m, rad]: a measurement, empty
+in a step without measurements. Optional: standard deviations of the motion and the measurement, in columns with the
+prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 if spurious, −2 or empty if
+unknown.
 """
 
 import csv

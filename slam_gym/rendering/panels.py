@@ -117,17 +117,17 @@ def table(picture: Any, box: Box, headings: Sequence[str], choices: Sequence[Act
     picture.blit(text(note, TEXT, symbols.MUTED), (left + _COLUMNS[1], top + (len(choices) + 1) * ROW))
 
 
-def badges(picture: Any, points: Sequence[Point], taken: Sequence[Point]) -> None:
+def badges(picture: Any, points: Sequence[Point], occupied: Sequence[Point]) -> None:
     """Draw the number of each action beside its candidate [pixels], with a line to it, where there is room in the map
-    beside other badges and places that are `taken`."""
-    centres = list(taken)
+    beside other badges and `occupied` places [pixels]."""
+    centres = list(occupied)
     for x, y in points:
         spots = [(x + r * dx, y + r * dy) for r in (17, 27, 38) for dx, dy in _AROUND]
         inside = [(u, v) for u, v in spots if _BADGE < u < MAP[0] - _BADGE and _BADGE < v < MAP[1] - _BADGE]
         clear = [spot for spot in inside if all(math.dist(spot, other) > _BADGE_DISTANCE for other in centres)]
         centres.append((clear or inside or spots)[0])
         pygame.draw.aaline(picture, symbols.PLAN, (x, y), centres[-1])
-    for action, centre in enumerate(centres[len(taken) :]):
+    for action, centre in enumerate(centres[len(occupied) :]):
         badge(picture, centre, str(action))
 
 

@@ -10,7 +10,7 @@ from slam_gym import Odometry, Scan, Slam, jcbb
 from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tree import interpretation_tree
-from slam_gym.rendering.plot import plot_episode, plot_error, plot_map, plot_scan, plot_tree
+from slam_gym.rendering.plot import plot_episode, plot_map, plot_scan, plot_tree
 
 POSTS = np.array([[8.0, 1.0], [6.0, -2.0], [7.0, 3.0]])
 
@@ -85,8 +85,3 @@ def test_a_tree_that_nobody_could_look_at_is_refused():
     prediction = Prediction.from_gaussian(points, 0.1 * np.eye(18))
     with pytest.raises(ValueError, match="more than 400 branches"):
         plot_tree(interpretation_tree(scan, prediction, individual(scan, prediction)))
-
-
-def test_the_error_of_a_path_is_its_distance_from_the_truth():
-    ax = plot_error([[0.0, 0.0, 1.0], [3.0, 4.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]])
-    assert ax.lines[0].get_ydata().tolist() == [0.0, 5.0] and ax.get_aspect() == "auto"

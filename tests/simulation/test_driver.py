@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from slam_gym.navigation.explored_grid import WALL
+from slam_gym.navigation.explored_grid import FREE, WALL
 from slam_gym.navigation.planner import distance_field
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals
 from slam_gym.simulation.driver import ARRIVED, STUCK_TICKS, commands
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING
 from slam_gym.world.physics import RobotSpec
+from tests.navigation.test_planner import centre, grid_of
 from tests.rollouts import episode, explore, random_action, short
 
 FIRST_REVISIT = 1 + FRONTIERS
@@ -128,13 +129,6 @@ def test_a_goal_that_no_path_leads_to_costs_one_tick_at_rest() -> None:
     np.testing.assert_allclose(env.episode.world.pose, before, atol=1e-9)
 
 
-def test_a_goal_ends_with_the_budget_in_its_middle() -> None:
-    env = explore(short(5, "hall"))
-    _, info = env.reset(seed=0)
-    *_, terminated, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
-    assert terminated and info["ticks"] == 5
-
-
 def walled_up(grid, point: np.ndarray, radius: float) -> None:
     """A wall freshly drawn around a point, as a person or a wrong pose draws it."""
     cells, evidence, *_ = grid._layers
@@ -158,3 +152,12 @@ def test_a_goal_that_is_walled_up_gives_way_to_a_place_nearby_if_there_is_one(ra
         ep.tick(*command)
     left = math.dist(ep.slam.map.pose[:2], goal)
     assert left < driver.NEAR_ENOUGH + ARRIVED if arrives else (ep.ticks == ticks + 1 and left > 3.0)
+
+
+def test_a_robot_that_stands_near_its_goal_squeezes_through_the_passage_between() -> None:
+    cells = np.full((11, 21), FREE, np.uint8)
+    cells[:, 10], cells[5, 10] = WALL, FREE
+    grid = grid_of(cells)
+    here, goal = centre(grid, 5, 8), centre(grid, 5, 12)
+    near, through = (driver.way_to(grid, 0.2, here, goal, least=least) for least in (0.0, ARRIVED))
+    assert math.dist(near[-1], here) < ARRIVED and math.dist(through[-1], goal) < 0.1
