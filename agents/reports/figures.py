@@ -102,7 +102,7 @@ def curve_chart(groups: Frames, shown: Sequence[Column], colour: Colours) -> Fig
             at_grid = pd.DataFrame([np.interp(grid, curve["ticks"], curve[column.key]) for curve in curves], own.index)
             frame = own[["setting", "episode"]].join(at_grid)
             bands = [estimate_of(frame, k, resamples=1000) for k in at_grid]
-            _line(axis, grid, bands, name, colour[name], marker=marker, markevery=10)
+            _line(axis, grid, bands, name, colour[name], marker=marker, markevery=10, clip_on=False)
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6))
