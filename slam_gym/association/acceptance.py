@@ -150,7 +150,9 @@ def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
     errors = mapped.covariances[sample]
     if len(paired):
         errors = 0.5 * difference_covariances(mapped, paired, neighbours[paired])
-    variance = 0.5 * float(np.maximum(np.trace(errors, axis1=1, axis2=2), 0.0).mean()) if len(errors) else 0.0
+    traces = np.maximum(np.trace(errors, axis1=1, axis2=2), 0.0)
+    # one uncertain landmark adds one pairing to a hypothesis, and must not widen the gates of all others
+    variance = 0.5 * float(np.minimum(traces, 16.0 * np.median(traces)).mean()) if len(errors) else 0.0
     return Crowding(np.bincount(others, minlength=1), width * width, variance)
 
 

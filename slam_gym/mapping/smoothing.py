@@ -1,8 +1,8 @@
 """Batch least squares: the trajectory and map that best explain a whole run, for known pairings.
 
 Minimises χ² = Σ_t ‖u_t − (⊖x_{t−1}) ⊕ x_t‖²_{Q_t} + Σ_i ‖z_i − (⊖x_{t(i)}) ⊕ m_{j(i)}‖²_{R_i} over poses x and
-positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: Dellaert and Kaess, IJRR 2006). No other
-estimate from the same pairings can be expected to have smaller errors: this is the lower bound in every table.
+positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: Dellaert and Kaess, IJRR 2006). The
+result is the maximum-likelihood estimate for these pairings.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from slam_gym.validation import indices
 
 _DAMPING = 1e-8  # of the first iteration, as a fraction of the mean information: all σ may have any common factor
 _ROUNDING = 1e-15  # of χ²
-_TOLERANCE, _ITERATIONS = 1e-9, 100  # stop where an iteration gains less than this fraction of χ²; most iterations
+_TOLERANCE, _ITERATIONS = 1e-9, 1000  # stop where an iteration gains less than this fraction of χ²; most iterations
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def locate_pairings(
     _closed_form(z, R, F, P, pose)
     S, A, e = np.empty((2 * k, 2 * k)), np.empty((2 * k, 3)), np.empty(2 * k)
     distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         _linearise(z, R, F, P, pose, (S, A, e))
         distance = math.nan
         if not cholesky(S):
@@ -83,9 +83,9 @@ def locate_pairings(
         distance = _solve(A, e, normal, pose_covariance, step)
         if distance == math.inf:
             break
+        if max(abs(step[0]), abs(step[1]), abs(step[2])) < _STEP or iteration == _ITERATIONS - 1:
+            break  # D² is that of this pose, also where the iterations run out
         pose += step
-        if max(abs(step[0]), abs(step[1]), abs(step[2])) < _STEP:
-            break
     if not distance < math.inf:
         pose[:], pose_covariance[:] = math.nan, math.nan
         return distance
@@ -149,7 +149,7 @@ def _linearise(
 
 @compiled
 def _solve(A: Array, errors: Array, normal: Array, inverse: Array, step: Array) -> float:
-    """From whitened A and e: (AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`. Returns D² after the step; inf if singular."""
+    """From whitened A and e: (AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`. Returns D² before the step; inf if singular."""
     right, distance = np.zeros(3), 0.0
     normal[:] = 0.0
     for r in range(len(errors)):
@@ -172,5 +172,4 @@ def _solve(A: Array, errors: Array, normal: Array, inverse: Array, step: Array) 
         for q in range(3):
             inverse[r, q] /= determinant
             step[r] += inverse[r, q] * right[q]
-        distance -= step[r] * right[r]
-    return max(distance, 0.0)
+    return distance

@@ -18,7 +18,7 @@ from slam_gym.geometry import wrap_angles
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
 
 LOCATION_LIMIT = 5_000  # hypotheses that a search locates, a quarter of a second for scans of ten
-TEST_LIMIT = 40_000_000  # tests of constraints in a search, which take some half a second
+TEST_LIMIT = 40_000_000  # tests of constraints in a search, which take half a second to several
 _ORIENTATION_COST = 40  # tests that one of the orientation counts for: most candidates fail before it
 _RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 

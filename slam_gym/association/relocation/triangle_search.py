@@ -57,7 +57,7 @@ class TriangleHash(NamedTuple):
     raster: Raster
     reach: float  # [m] longest side of the triangles
     quantum: float  # [m] width of a hash cell in each side
-    widest: float  # [m²] largest variance of a feature in any direction
+    widest: float  # [m²] largest variance of a feature in any direction, at most that of 4 σ of the usual feature
 
 
 class _Seed(NamedTuple):

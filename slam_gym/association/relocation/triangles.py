@@ -1,4 +1,4 @@
-"""Relocation in sublinear time: a static hash of the triangles of nearby features, by their sides.
+"""Relocation by a static hash of the triangles of nearby features, by their sides.
 
 Each triangle of features is stored once, counterclockwise and longest side first: vertices A, B, C with sides c = |AB|
 ≥ a = |BC|, b = |CA|. Its mirror image runs clockwise, and so has other sides or is not stored. Three measurements are
@@ -137,7 +137,7 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1))
     grid, raster = _grid_of(positions, reach / 7.0), _raster_of(positions, widest, 3.5 * noise)
-    largest = float(widest.max(initial=_LEAST_VARIANCE))
+    largest = min(float(widest.max(initial=_LEAST_VARIANCE)), 16.0 * noise * noise)  # few must not widen all gates
     return TriangleHash(starts, corners[order], sides[order], grid, raster, reach, quantum, largest)
 
 
@@ -147,7 +147,7 @@ def _usual_reach(tree: cKDTree, most: int) -> float:
         return 11.0
     near = min(int(_WITHIN * math.sqrt(most / (_TRIANGLES_EACH * tree.n))), tree.n - 1)
     distances = tree.query(tree.data[:: max(tree.n // _SAMPLE, 1)], k=near + 1)[0]
-    return max(float(np.median(distances[:, near])), _LEAST_REACH)
+    return max((1.0 + 1e-6) * float(np.median(distances[:, near])), _LEAST_REACH)  # rounding must lose no triangle
 
 
 def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2
 
 from slam_gym.association.relocation.location import locate
-from slam_gym.geometry import wrap_angle
-from slam_gym.types import UNPAIRED
+from slam_gym.geometry import transform, wrap_angle
+from slam_gym.types import UNPAIRED, Landmarks, Scan
 from tests.oracles import relocation as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -96,3 +96,15 @@ def test_bad_input_is_refused_by_name():
     scan.points[0, 0] = np.nan
     with pytest.raises(ValueError, match="measurement 0"):
         locate(scan, landmarks, features)
+
+
+def test_the_distance_is_that_of_the_pose_where_gauss_newton_does_not_converge():
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        spread = 0.05 * rng.normal(size=(2, 2, 2, 2))  # elongated
+        R, P = spread @ spread.swapaxes(2, 3) + 1e-6 * np.eye(2)
+        z, F = rng.uniform(-0.2, 0.2, (2, 2, 2))
+        found = locate(Scan.from_points(z, R), Landmarks.from_points(F, P), np.arange(2))
+        x, C = transform(found.pose, z), oracles.rotation(found.pose[2])
+        distance = sum((F[k] - x[k]) @ np.linalg.solve(P[k] + C @ R[k] @ C.T, F[k] - x[k]) for k in range(2))
+        assert found.joint_distance == pytest.approx(distance, rel=1e-4, abs=1e-6), seed

@@ -270,3 +270,20 @@ def test_a_crowd_of_likenesses_ends_at_the_limit_and_says_so():
     assert short.effort.nodes < bounded.effort.nodes < 40_000
     assert not index.relocate(scan, min_pairings=20).effort.limit_hit
     assert index.relocate(scan, min_pairings=99).effort.tries == 0  # more than there are measurements
+
+
+def test_one_uncertain_feature_does_not_hide_the_others():
+    rng = np.random.default_rng(0)
+    truth, sigmas = field(rng, 300), np.full(300, SIGMA)
+    scan, _, sources = view(rng, truth, 15, 5)
+    sigmas[np.setdiff1d(np.arange(300), sources)[0]] = 3.0
+    answer = FeatureIndex(landmarks_at(truth, sigmas)).relocate(scan)
+    assert answer.accepted and not answer.effort.limit_hit
+    assert np.array_equal(answer.features[sources != SPURIOUS], sources[sources != SPURIOUS])
+
+
+def test_a_map_of_three_features_has_their_triangle():
+    for seed in range(30):
+        truth = field(np.random.default_rng(seed), 3)
+        scan = scan_at(observe(np.array([1.0, 2.0, 0.5]), truth))
+        assert FeatureIndex(landmarks_at(truth)).relocate(scan, min_pairings=3).pairings == 3, seed
