@@ -36,6 +36,8 @@ def main(
 
     if not entry and (role or quick or execution != Execution()):
         raise ValueError("--entry is missing: the other options are about its evaluation")
+    if page:
+        with_tables(page.read_text(encoding="utf-8"), "")  # raises for a page without marks, before the evaluation
     evaluated = {_evaluate(entry, role or _role_of(entry), quick, board, execution)} if entry else set()
     shipped, _ = read_entries(folders_in(BASELINES))
     own, refused = read_entries(folders_in(board) | evaluated)
@@ -53,12 +55,13 @@ def main(
 def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> Path:
     """Evaluate the entry by the protocol, or by the rest of it; returns the folder of its results."""
     from agents.evaluation.pipeline import METADATA, carry_out, unfinished
+    from agents.evaluation.records import stem
     from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
     from slam_gym.simulation.judged import CEILING
 
     if entry != CEILING or role != "associator":  # no process runs it, since it uses the truth
         process(role, entry)  # raises for an invalid entry, before anything is written
-    name = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
+    name = f"{role}-{stem(entry)}{'-quick' if quick else ''}"
     out = execution.output or board / name
     resume = execution.resume or unfinished(out)
     if not resume and (out / METADATA).exists():

@@ -7,12 +7,12 @@ is accepted wherever a name is.
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.validation import imported
+from slam_gym.validation import imported, one_of
 
 ActionKind = Literal["goal", "twist"]
 Observation = Mapping[str, NDArray[Any]]
@@ -83,10 +83,11 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
     """
     cls = find_agent(name)
     if hasattr(cls, "load") and model is None:
-        raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; slam-gym train makes one)")
+        raise ValueError(f"agent {name!r} is learned: give its file (evaluate: --model FILE; slam-gym train makes one)")
     if not hasattr(cls, "load") and model is not None:
         raise ValueError(f"agent {name!r} takes no model file")
     agent = cls() if model is None else cls.load(Path(model), trust=trust)
     if missing := [part for part in ("name", "action", "reset", "act") if not hasattr(agent, part)]:
         raise ValueError(f"agent {name!r} has no {' and no '.join(missing)}: see agents.drivers.base.Agent")
+    one_of("action", agent.action, get_args(ActionKind))
     return cast(Agent, agent)

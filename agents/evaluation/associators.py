@@ -51,7 +51,9 @@ def hashes_of(*names: str | None) -> dict[str, dict[str, Any]]:
 def _file_of(name: str) -> Path | None:
     """The file of that name, or with that module, which is not imported."""
     module, colon, _ = name.partition(":")
-    places = [Path(folder, *module.split(".")).with_suffix(".py") for folder in sys.path] if colon else [Path(name)]
+    *packages, last = module.split(".")
+    files = (*packages, last, "__init__.py"), (*packages, f"{last}.py")
+    places = [Path(folder, *file) for folder in sys.path for file in files] if colon else [Path(name)]
     return next(filter(Path.is_file, places), None)
 
 

@@ -188,7 +188,7 @@ def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | Non
         if out.is_dir() and any(out.iterdir()):
             raise ValueError(f"{out} is not empty: give another --output")
         return None
-    if before.frame.empty and not resume and {path.name for path in out.iterdir()} == {METADATA}:
+    if before.frame.empty and {path.name for path in out.iterdir()} == {METADATA}:
         return None  # the former command failed before its first episode ended
     versions = before.metadata["versions"]
     was = before.conditions | {"evaluation": before.metadata["kind"], "slam_gym": versions.get("slam_gym")}

@@ -188,10 +188,9 @@ def best_names(values: Mapping[str, Interval], column: Column) -> set[str]:
 
 
 def display_name(name: str) -> str:
-    """A name for tables: `module:function` without packages, a file with its folder, others with spaces for `_`."""
-    module, colon, function = name.rpartition(":")
-    if colon:
-        return f"{module.rpartition('.')[2]}:{function}"
+    """A name for tables: `module:function` as it is, a file with its folder, others with spaces for `_`."""
+    if ":" in name:
+        return name
     return "/".join(Path(name).parts[-2:]) if Path(name).suffix else name.replace("_", " ")
 
 
@@ -231,7 +230,7 @@ def print_table(table: Table, console: Console) -> None:
 
 def _grid(table: Table, columns: Sequence[Column]) -> RichTable:
     grid = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    grid.add_column(Text(table.corner), max_width=30)
+    grid.add_column(Text(table.corner), max_width=40)
     for column in columns:
         grid.add_column(Text(column.title), justify="right", no_wrap=True)
     for name, row in table.rows.items():

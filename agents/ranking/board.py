@@ -4,6 +4,7 @@ common worlds."""
 import html
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -29,7 +30,7 @@ class Entry(NamedTuple):
 
     name: str
     protocol: dict[str, Any]  # version, role, quick, hash
-    losses: pd.Series  # by column, setting and world; NaN for a world without problems
+    losses: pd.Series  # by column, setting and world
 
     @property
     def shape(self) -> tuple[Any, ...]:
@@ -55,15 +56,17 @@ def entry_of(results: Results) -> Entry:
         raise ValueError("its evaluation is not complete")
     frame = results.frame.assign(column=results.frame["setting"].map(column_of))
     losses = frame.set_index(["column", "setting", "episode"])["loss"].astype(float)
-    if not (losses.index.is_unique and losses.dropna().between(0.0, math.inf, inclusive="left").all()):
+    if not (losses.index.is_unique and losses.between(0.0, math.inf, inclusive="left").all()):
         raise ValueError("its losses are not one number from 0 on for each world")
-    if not losses.groupby(level="column").count().all():
-        raise ValueError("there is a column without a loss")
+    parts = Protocol(role, protocol["quick"])
+    worlds = {(setting, FIRST + k) for setting, count in parts.parts.items() for k in range(count)}
+    if code == parts.about["hash"] and set(losses.index.droplevel("column")) != worlds:
+        raise ValueError("its worlds are not those of the protocol")
     return Entry(name, protocol, losses.round(6))
 
 
 def read_entries(folders: Iterable[Path]) -> tuple[list[Entry], list[str]]:
-    """The entries in the folders of evaluations, by time, and a line for each folder without a valid one."""
+    """The entries in the folders of evaluations, by time, and a line for each that does not count."""
     entries, invalid = list[tuple[str, Entry]](), []
     for folder in sorted(folders):
         try:
@@ -73,7 +76,11 @@ def read_entries(folders: Iterable[Path]) -> tuple[list[Entry], list[str]]:
                 entries.append((began, entry_of(results)))
         except (ValueError, OSError) as error:
             invalid.append(" ".join(str(error).split()))
-    return [entry for _, entry in sorted(entries, key=itemgetter(0))], invalid
+    ordered = [entry for _, entry in sorted(entries, key=itemgetter(0))]
+    for (name, _), count in Counter((entry.name, entry.shape) for entry in ordered).items():
+        if count > 1:
+            invalid.append(f"{name}: {count - 1} of its {count} evaluations, since only the last counts")
+    return ordered, invalid
 
 
 def folders_in(board: Path) -> set[Path]:
@@ -97,7 +104,7 @@ def rows(entries: Sequence[Entry]) -> list[Row]:
     Of entries with the same name, the last counts. The ceiling, which uses the truth, has place 0 and does not change
     the places of others.
     """
-    losses = pd.DataFrame({entry.name: entry.losses for entry in entries})
+    losses = pd.DataFrame({entry.name: entry.losses for entry in entries}).reindex(entries[0].losses.index)
     means = losses.groupby(level=0, sort=False).mean()
     rivals = [name for name in losses if name != CEILING]
     first = means.mean()[rivals or list(losses)].idxmin()
@@ -116,12 +123,11 @@ def _mean_of_means(losses: pd.Series) -> Interval:
     World k may be the same building in several settings, so worlds are the clusters of the variance, with a t
     distribution (Cameron and Miller, J. Human Resources 2015). Differences between settings are not noise.
     """
-    known = losses.dropna()
-    columns, settings = known.groupby(level=0), known.groupby(level=1)
+    columns, settings = losses.groupby(level=0), losses.groupby(level=1)
     weights, sizes = 1.0 / (columns.ngroups * columns.transform("size")), settings.transform("size")
-    deviations = (known - settings.transform("mean")) * np.sqrt(sizes / (sizes - 1.0))
+    deviations = (losses - settings.transform("mean")) * np.sqrt(sizes / (sizes - 1.0))
     of_worlds = (weights * deviations).groupby(level=2).sum(min_count=1)
-    mean = float((weights * known).sum())
+    mean = float((weights * losses).sum())
     half = student_t.ppf(0.975, len(of_worlds) - 1) * math.sqrt((of_worlds**2).sum())
     return Interval(mean, mean - half, mean + half)
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.drivers.base import ActionKind, Info, Observation, find_agent, make_agent
-from slam_gym.association import resolve_associator, resolve_relocator
+from slam_gym.association import check_relocation, resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
 from slam_gym.types._fields import floats
@@ -73,7 +73,7 @@ class EntryProcess:
         path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
         pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
         child = asyncio.create_subprocess_exec(
-            sys.executable, "-m", __name__, *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
+            sys.executable, "-P", "-m", __name__, *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
         )
         self._process, self._next_limit = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
@@ -158,13 +158,12 @@ def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, localit
         features = _decisions(answer["features"], np.int64)
         pose, covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
         distance, located = 0.0, (features != UNPAIRED).sum() >= 2
-        check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
         if located:
             distance = float(_numbers(answer, "joint_distance", ()))
             pose, covariance = _numbers(answer, "pose", (3,)), _numbers(answer, "covariance", (3, 3))
-            np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # raises unless it is a covariance
         dof, least, ambiguous, ties = (int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties"))
-        return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
+        found = Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
+        return check_relocation(found, len(scan), len(landmarks))
     except _NONSENSE as error:
         raise process.refuse(f"no relocation, {error}") from None
 
@@ -188,6 +187,8 @@ def _load(role: str, name: str) -> tuple[dict[str, Any], Callable[..., Any]]:
     model = Path(name).suffix == ".zip"
     if not model and not hasattr(find_agent(name), "act"):
         raise ValueError("it cannot act: give --role where it is no agent")
+    if not model and hasattr(find_agent(name), "behold"):
+        raise ValueError("it drives by the truth, which no entry is told")
     agent = make_agent("ppo", name) if model else make_agent(name)
     about = {"name": agent.name, "action": agent.action}
     return about, lambda method, *request: getattr(agent, method)(*request)
@@ -213,6 +214,8 @@ def main(role: str, name: str) -> None:
             if not incoming.peek(1):
                 return
             answer = entry(*pickle.load(incoming))
+    except KeyboardInterrupt:
+        return
     except Exception as error:
         print(json.dumps({"error": f"{type(error).__name__}: {error}"}), file=outgoing, flush=True)
 

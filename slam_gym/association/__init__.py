@@ -27,6 +27,7 @@ from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.ppo import ppo, walk_by
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
+from slam_gym.mapping.stochastic_map import checked_pose
 from slam_gym.types import Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
 from slam_gym.validation import check_hypothesis, imported
 
@@ -34,6 +35,7 @@ __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
     "Policy",
+    "check_relocation",
     "from_policy",
     "gcbb",
     "global_nearest_neighbour",
@@ -99,6 +101,17 @@ def resolve_relocator(relocator: str | Relocator) -> Relocator:
     return resolved
 
 
+def check_relocation(answer: Relocation, measurements: int, features: int) -> Relocation:
+    """The answer of a relocator for so many measurements and features. Raises ValueError, telling what is wrong with
+    it: its type, its pairings or, if they are accepted, its pose or covariance."""
+    if not isinstance(answer, Relocation):
+        raise ValueError(f"returned {type(answer).__name__}, not a Relocation")
+    check_hypothesis(Hypothesis(answer.features, 0.0, 0), measurements, features)
+    if answer.accepted:
+        checked_pose(answer.pose, answer.covariance)
+    return answer
+
+
 @dataclass(frozen=True, slots=True)
 class _ReadOnly:
     """A user's associator or relocator, called with a scan, and landmarks, whose arrays are read-only. Its errors, and
@@ -119,12 +132,9 @@ class _ReadOnly:
         try:
             if isinstance(known, Prediction):
                 return check_hypothesis(answer, len(scan), known.expected.n)
-            if not isinstance(answer, Relocation):
-                raise ValueError(f"returned {type(answer).__name__}, not a Relocation")
-            check_hypothesis(Hypothesis(answer.features, 0.0, 0), len(scan), len(known))
+            return check_relocation(answer, len(scan), len(known))
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
-        return answer
 
 
 def _resolve(role: str, value: Any, table: Mapping[str, Any]) -> Any:

@@ -25,7 +25,7 @@ from slam_gym.association import (
 )
 from slam_gym.association.prediction import Prediction
 from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED, Odometry, Scan
+from slam_gym.types import UNPAIRED, Landmarks, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -160,3 +160,16 @@ def test_relocators_are_found_by_name_by_module_or_as_themselves():
     assert resolve_relocator("slam_gym.association.relocation.gcbb:gcbb") is gcbb
     with pytest.raises(ValueError, match="random_sampling"):
         resolve_relocator("nothing")
+
+
+@pytest.mark.parametrize(
+    "changed", [{"covariance": np.tri(3)}, {"pose": np.full(3, np.nan)}, {"features": np.zeros(9)}]
+)
+def test_what_is_no_relocation_is_refused_by_the_name_of_the_relocator(changed):
+    scan, landmarks = Scan.from_points(np.eye(2), sigma=0.1), Landmarks.from_points(np.eye(2), sigma=0.1)
+
+    def mine(*problem):
+        return dataclasses.replace(gcbb(*problem), min_pairings=0, ambiguous=False, **changed)
+
+    with pytest.raises(ValueError, match=f"relocator mine: .*{next(iter(changed))}"):
+        resolve_relocator(mine)(scan, landmarks, None)

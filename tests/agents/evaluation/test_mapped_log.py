@@ -12,6 +12,7 @@ import pytest
 
 from agents.evaluation.mapped_log import (
     compare,
+    final_ids,
     logs_of,
     map_and_measure,
     map_log,
@@ -26,10 +27,13 @@ from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.metrics.map_quality import ate, landmark_rmse
 from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import mrclam
-from slam_gym.recordings.recording import Recording, save
+from slam_gym.recordings.recording import Recording, interpolate, save
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios import MRCLAM, VICTORIA_PARK
-from slam_gym.types import SPURIOUS, UNLABELLED
+from slam_gym.slam.atlas import AtlasSpec, FusionRecord
+from slam_gym.slam.relocate import relocate_by
+from slam_gym.slam.slam import Slam
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED
 from tests.agents.evaluation import SPEC
 from tests.recordings import drive
 
@@ -134,6 +138,23 @@ def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identi
     assert landmark_rmse(found.landmarks, true, aligned=True) < 0.1
     numbers = measure(map_log(found, "true_association", SPEC))
     assert numbers["ate_batch"] < 1e-3 < numbers["ate"] < 0.2 and math.isnan(numbers["anees"])
+
+
+def test_poses_are_compared_where_the_reference_has_no_gap_and_as_surely_as_it_is_known(mapped) -> None:
+    log, t = mapped.log, np.arange(5.0, 64.0, 0.25)
+    t = t[(t < 20.0) | (t > 23.0)]
+    gap = replace(log, reference_times=t, reference_poses=interpolate(log.times, log.reference_poses, t))
+    compared = compare(gap, mapped.poses).times
+    assert not ((compared > 19.8) & (compared < 23.2)).any() and {19.0, 24.0} <= set(compared.tolist())
+    off = log.reference_poses + np.array([0.005, 0.0, 0.0])
+    sure = replace(mapped, poses=off, pose_covariances=np.zeros((len(log), 3, 3)))
+    assert measure(sure)["anees"] == pytest.approx(1 / 3)
+
+
+def test_ids_are_followed_through_fusions() -> None:
+    slam = Slam(relocate=relocate_by("gcbb"), atlas=AtlasSpec())
+    slam.atlas.fusions += [FusionRecord("loop", step, np.array([pair])) for step, pair in enumerate(([1, 4], [0, 1]))]
+    assert final_ids(slam, np.array([4, 1, 2, NO_ID])).tolist() == [0, 0, 2, NO_ID]
 
 
 # -- files -------------------------------------------------------------------------------------------------------------

@@ -69,10 +69,10 @@ def test_an_interruption_keeps_what_is_finished(tmp_path):
 
 def test_what_was_asked_for_last_comes_first_in_that_order_and_nothing_is_thrown_away(tmp_path):
     carry_out(counting([task(k, ("b", "a")) for k in range(3)]), tmp_path, **NEW)
-    again = carry_out(counting([task(1, ("a", "b")), task(3, ("a",))]), tmp_path, **RESUMED)
-    first = [("a", 1), ("b", 1), ("a", 3)]
-    assert list(zip(again.frame["name"], again.frame["episode"]))[:3] == first and len(again.frame) == 7
-    assert again.names == ["a", "b"] and again.metadata["complete"]
+    again = carry_out(counting([task(1, ("a", "b", "c")), task(3, ("a",))]), tmp_path, **RESUMED)
+    first = [("a", 1), ("b", 1), ("c", 1), ("a", 3)]
+    assert list(zip(again.frame["name"], again.frame["episode"]))[:4] == first and len(again.frame) == 8
+    assert again.names == ["a", "b", "c"] and again.metadata["complete"]
 
 
 def test_scenarios_on_one_floor_plan_are_told_apart_and_names_stay_what_they_are(tmp_path):
@@ -114,12 +114,16 @@ def test_a_folder_belongs_to_one_evaluation(tmp_path):
     assert not (tmp_path / "new").exists() and len(list((tmp_path / "other").iterdir())) == 1
 
 
-@pytest.mark.parametrize("file", ["own.npz", "own_rule.py"])
+PACKAGE = "own_rule/__init__.py"
+
+
+@pytest.mark.parametrize("file", ["own.npz", PACKAGE])
 def test_a_model_or_module_that_has_changed_is_not_resumed(tmp_path, monkeypatch, file):
     monkeypatch.syspath_prepend(tmp_path)
     write(tmp_path / "own.npz", load("ppo", VERSION, INPUTS, SHAPES))
-    (tmp_path / "own_rule.py").write_text("from slam_gym.association import jcbb")
-    names = ["own_rule:jcbb" if file == "own_rule.py" else str(tmp_path / file)]
+    (tmp_path / "own_rule").mkdir()
+    (tmp_path / "own_rule" / "__init__.py").write_text("from slam_gym.association import jcbb")
+    names = ["own_rule:jcbb" if file == PACKAGE else str(tmp_path / file)]
     carry_out(associator_evaluation(names, [SMALL], "random", range(1), [None]), tmp_path / "out", **NEW)
     carry_out(associator_evaluation(["jcbb"], [SMALL], "random", range(1), [None]), tmp_path / "out", **RESUMED)
     (tmp_path / file).open("ab").write(b"  # more")

@@ -44,6 +44,14 @@ def test_without_odds_the_probabilities_are_the_marginals(seed):
     assert p == pytest.approx(np.array(expected), abs=1e-3)
 
 
+def test_scans_of_one_batch_do_not_touch_each_other():
+    scans = [answered(seed)[3] for seed in range(5)]
+    together = associator.probabilities(torch.zeros(sum(len(d.inputs) for d in scans)), associator.Batch.of(scans))
+    for row, d in zip(together, scans):
+        alone = associator.probabilities(torch.zeros(len(d.inputs)), associator.Batch.of([d]))[0]
+        torch.testing.assert_close(row[: len(alone)], alone)
+
+
 def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     scan, prediction, _, _ = answered(3)
     far = int(np.argmax(np.hypot(*(prediction.positions - scan.points[0]).T)))

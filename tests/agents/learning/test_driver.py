@@ -11,6 +11,7 @@ from agents.learning.driver import (
     DriverPlan,
     Examples,
     greedy,
+    loss_of,
     regret_of,
     reproduce,
     sketched_drive,
@@ -86,6 +87,13 @@ def states(n, seed, goals=6):
     legal[:, 0] = True
     values = 2.0 * tokens[..., 0] - np.where(legal[:, None], gaps < 0.5, False).sum(axis=2)
     return Examples(tokens, gaps, 0.3 * rng.normal(size=(n, goals)) - 1.0, legal, np.where(legal, values, 0.0))
+
+
+def test_only_differences_between_legal_goals_of_a_state_count():
+    batch = states(20, 0).batch(np.arange(20))
+    scored, by_state = torch.randn(20, 6), torch.arange(20.0)[:, None]
+    torch.testing.assert_close(loss_of(scored + by_state, batch), loss_of(scored, batch))
+    torch.testing.assert_close(loss_of(batch.values + by_state, batch), torch.tensor(0.0))
 
 
 def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():

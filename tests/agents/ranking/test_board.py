@@ -60,8 +60,10 @@ def an_entry(name, shift, seed=0, noise=0.001):
 def test_of_two_evaluations_of_one_entry_the_later_counts(tmp_path):
     for folder, shift, day in (("b", 0.1, 1), ("a", 0.0, 2)):
         write(tmp_path / folder, an_entry("one", shift), commands=[{"command": "", "started": f"2026-01-0{day}"}])
-    (row,) = rows(read_entries(folders_in(tmp_path))[0])
+    entries, told = read_entries(folders_in(tmp_path))
+    (row,) = rows(entries)
     assert row.loss.estimate == pytest.approx(rows([an_entry("one", 0.0)])[0].loss.estimate)
+    assert told == ["one: 1 of its 2 evaluations, since only the last counts"]
 
 
 def write(folder, entry, **changes):
@@ -79,6 +81,7 @@ def test_small_differences_on_the_same_worlds_are_told_apart_and_noise_is_not():
     found = rows([an_entry("worse", 0.02, 1), an_entry("best", 0.0, 2), an_entry("tied", 0.0, 3, noise=0.03)])
     assert {row.name: row.place for row in found} == {"best": 1, "tied": 1, "worse": 3}  # two are better
     worse = found[-1]
+    assert found[0].loss.estimate <= found[1].loss.estimate  # of one place
     assert worse.behind.low > 0.0 and worse.behind.high - worse.behind.low < 0.03 < worse.loss.high - worse.loss.low
     assert found[0].loss.estimate == pytest.approx(np.mean(list(found[0].columns.values())), abs=1e-9)
 
@@ -103,17 +106,16 @@ def test_the_ceiling_takes_nobodys_place_and_nobody_is_behind_it():
     assert found[1].behind.estimate == 0.0 and found[0].behind.high < 0.0
 
 
-def test_columns_weigh_alike_and_what_could_not_be_decided_is_left_out():
+def test_columns_weigh_alike_in_the_order_of_the_first_entry():
     one, settings = an_entry("a", 0.0), list(PARTS["agent"])
     losses = pd.Series({key: float(key[1] == settings[0]) for key in one.losses.index})
-    losses["office-small", "office-small", FIRST + 3] = math.nan
-    (row,) = rows([one._replace(losses=losses)])
+    (row, other) = rows([one._replace(losses=losses), an_entry("b", 0.0)._replace(losses=losses.sort_index() + 0.1)])
     assert row.loss.estimate == pytest.approx(1.0 / len(settings)) and row.loss.low == row.loss.high
+    assert list(row.columns) == list(other.columns) == list(dict.fromkeys(map(column_of, settings)))
 
 
 def test_entries_come_back_from_their_folders(tmp_path):
     one = an_entry("a", 0.0)
-    one.losses["hall", "hall", FIRST] = math.nan  # a world in which nothing was to be decided
     ((found,), refused) = read_entries([write(tmp_path / "one", one)])
     assert (found.name, found.protocol, refused) == (one.name, one.protocol, [])
     pd.testing.assert_series_equal(found.losses, one.losses, check_names=False, atol=1e-6)
@@ -127,7 +129,7 @@ NO_ENTRIES = [
     *({"conditions": KNOWN | {name: value}}
       for name, value in (("role", "judge"), ("hash", "` | `"), ("hash", None), ("version", "3"), ("quick", None))),
 ]  # fmt: skip
-NO_LOSSES = (-0.1, math.inf, "b", "1e400", "[0.1]")
+NO_LOSSES = (-0.1, math.inf, math.nan, "b", "1e400", "[0.1]")
 
 
 def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path):
@@ -137,9 +139,8 @@ def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path):
         losses = GOOD.losses.astype(object)
         losses["hall", "hall", FIRST] = loss
         no_entries.append(write(tmp_path / f"loss-{k:02}", GOOD._replace(losses=losses)))
-    empty = GOOD.losses.mask(GOOD.losses.index.get_level_values(0) == "hall")
     twice = pd.concat([GOOD.losses, GOOD.losses[:1]])
-    for name, losses in (("empty", empty), ("twice", twice)):
+    for name, losses in (("short", GOOD.losses[1:]), ("twice", twice)):
         no_entries.append(write(tmp_path / name, GOOD._replace(losses=losses)))
     no_entries.append(tmp_path / "text")
     write(tmp_path / "text", GOOD)

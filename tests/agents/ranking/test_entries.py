@@ -101,7 +101,11 @@ def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
 
 @pytest.mark.parametrize(
     ("role", "name", "said"),
-    [("agent", "nobody", "unknown agent 'nobody'"), ("associator", "nowhere:f", "nowhere")],
+    [
+        ("agent", "nobody", "unknown agent 'nobody'"),
+        ("agent", "clairvoyant", "by the truth"),
+        ("associator", "nowhere:f", "nowhere"),
+    ],
 )
 def test_what_does_not_exist_is_refused_at_the_start(role, name, said):
     with pytest.raises(EntryError, match=said):
@@ -110,6 +114,8 @@ def test_what_does_not_exist_is_refused_at_the_start(role, name, said):
 
 def test_the_evaluator_imports_nothing_of_an_entry(started, tmp_path, monkeypatch):
     (tmp_path / "theirs.py").write_text("import sys\nsys.theirs = True\n\ndef associate(scan, prediction): ...\n")
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "__init__.py").touch()  # theirs, too
     monkeypatch.chdir(tmp_path)
     started("associator", "theirs:associate")
     assert "theirs" not in sys.modules and not hasattr(sys, "theirs")
