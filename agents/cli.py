@@ -16,7 +16,9 @@ from agents.options import Execution
 if TYPE_CHECKING:
     from agents.evaluation.pipeline import Evaluation
 
-_LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
+_EXTRAS = dict.fromkeys(("imageio", "jinja2", "joblib", "matplotlib", "pandas", "rich", "threadpoolctl"), "agents")
+_EXTRAS |= dict.fromkeys(("torch", "stable_baselines3", "sb3_contrib", "tensorboard"), "learn") | {"minari": "minari"}
+"""The extra that installs a module."""
 
 
 def command(
@@ -75,8 +77,9 @@ def ended(command: Callable[[], int | None]) -> int | None:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "slam_gym", "agents"):
             raise
-        extra = "learn" if missing in _LEARNING else "minari" if missing == "minari" else "agents"
-        reason = f"{missing} is missing: pip install 'slam_gym[{extra}]'"
+        reason = f"{missing} is missing"
+        if missing in _EXTRAS:  # not where a module of the user needs it
+            reason += f": pip install 'slam_gym[{_EXTRAS[missing]}]'"
     except BrokenProcessPool:
         reason = "a worker process was killed, perhaps for want of memory: --resume goes on with what is left"
     except (ValueError, ImportError, OSError) as error:

@@ -36,7 +36,7 @@ def _find_agents() -> None:
     """Put the folder that contains `agents` first on the path of this process and of its child processes, and the
     current folder last, as with `python -m`: "mymodule:MyDriver" is found there."""
     folder = str(_INSTALLED if (_INSTALLED / "agents").is_dir() else _CHECKOUT)
-    if folder not in sys.path:
+    if sys.path[0] != folder:  # behind the current folder, a package `agents` there would come first
         sys.path.insert(0, folder)
         previous = os.environ.get("PYTHONPATH")
         os.environ["PYTHONPATH"] = os.pathsep.join([folder, *([previous] if previous else [])])

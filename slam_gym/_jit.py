@@ -127,11 +127,11 @@ def cache_folder() -> Path:
 @functools.cache
 def _folder() -> Path | None:
     """The cache folder of this version, created and checked; None where nothing can be cached."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(numba.__version__.encode())  # another one would discard what this one has compiled
     for source in sorted(_PACKAGE.rglob("*.py")):
         if not source.is_relative_to(_PACKAGE / "shipped"):  # a wheel's agents, which the package does not call
             digest.update(source.read_bytes())
-    folder = cache_folder() / digest.hexdigest()[:20]
+    folder = cache_folder().absolute() / digest.hexdigest()[:20]  # the process may change its directory
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)

@@ -106,7 +106,7 @@ def types_of(settings: type[Any]) -> dict[str, tuple[Any, ...]]:
 
 def check_number(name: str, value: Any, greatest: float = sys.float_info.max) -> None:
     """Raise ValueError, naming it, unless an argument is a number from 0 to `greatest`."""
-    if not (isinstance(value, int | float | np.number) and 0.0 <= value <= greatest):
+    if not (isinstance(value, int | float | np.number) and 0.0 <= float(value) <= greatest):
         raise ValueError(f"{name}={value!r}: expected a finite number from 0{f' to {greatest:g}' * (greatest < 1e9)}")
 
 

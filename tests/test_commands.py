@@ -4,6 +4,7 @@ import importlib
 import json
 import subprocess
 import sys
+from functools import partial
 from importlib.metadata import PackageNotFoundError
 
 import numpy as np
@@ -49,9 +50,10 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
         monkeypatch.delitem(sys.modules, name)
     result = typed(commands.app, "report", "results")
     assert (result.exit_code, result.stderr) == (2, "error: pandas is missing: pip install 'slam_gym[agents]'\n")
-    with pytest.raises(typer.Exit):
-        ended(lambda: importlib.import_module("torch"))
-    assert capsys.readouterr().err == "error: torch is missing: pip install 'slam_gym[learn]'\n"
+    for module, advice in (("torch", ": pip install 'slam_gym[learn]'"), ("what_a_user_imports", "")):
+        with pytest.raises(typer.Exit):
+            ended(partial(importlib.import_module, module))
+        assert capsys.readouterr().err == f"error: {module} is missing{advice}\n"
 
 
 def test_a_worker_that_was_killed_is_told_in_one_line(capsys):
@@ -73,7 +75,9 @@ def test_a_module_of_ones_own_is_found_where_the_command_is_given(tmp_path):
     assert done.stderr.startswith("error: agent 'yours:Still': No module named 'yours'; known: random, ")
 
 
-def test_it_runs_in_a_folder_without_agents(tmp_path):
+def test_it_runs_in_a_folder_with_another_package_of_that_name(tmp_path):
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "__init__.py").touch()
     line = (
         "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --output out"
     )

@@ -58,6 +58,12 @@ def test_installations_of_the_same_sources_share_what_is_cached(cache: Path, tmp
     assert said == f"True\n{tmp_path}/other/slam_gym/mapping/linear_algebra.py\n" and told == ""
 
 
+def test_other_versions_of_numba_and_other_directories_do_not_compile_again(cache: Path, monkeypatch) -> None:
+    monkeypatch.chdir(cache.parent)
+    assert "compiles its inner loops" in run("import numba\nnumba.__version__ = 'other'\n" + STEP, Path("cache"))[1]
+    assert run("import os, slam_gym.geometry\nos.chdir('/')\n" + STEP, Path("cache")) == ("True\n", "")
+
+
 @pytest.mark.parametrize(
     ("suffix", "damaged"),
     [("nbi", lambda data: data[: len(data) // 2]), ("nbc", lambda data: data[:-9] + b"x" * 9)],

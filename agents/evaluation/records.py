@@ -76,6 +76,8 @@ def versions() -> dict[str, str]:
     for package in PACKAGES:
         with suppress(PackageNotFoundError):
             known[package] = version(package)
+    if Path(__file__).parents[2].name == "shipped":  # in a wheel, which may lie within any repository
+        return known | {"commit": "unknown"}
     try:
         git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
         known["commit"] = subprocess.run(git, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

@@ -175,7 +175,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         action = self._checked(action)
         self._failed = True
         reward = self._act(action)
-        outcome = self._observe(), reward, self.over, False, self._info()
+        outcome = self._observe(), float(reward), self.over, False, self._info()
         self._failed = False
         history.actions.append(action)
         return outcome

@@ -216,7 +216,7 @@ class ExploreEnv(BaseEnv):
 
     def _begin_step(self) -> None:
         self._decided_before = self.episode.identities.decided
-        self._ticks_before = max(self.episode.ticks, 0)
+        self._ticks_before = self.episode.ticks
 
     def _observe(self) -> Observation:
         episode = self.episode

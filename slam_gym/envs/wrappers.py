@@ -14,7 +14,7 @@ MASK, REST = "action_mask", "observations"
 """Keys under which `MaskInObservation` puts the mask, and an observation that is not a Dict."""
 
 
-class FlatObservation(gym.wrappers.FlattenObservation):
+class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """All parts of the observation but images in one float32 vector, in the order of the space.
 
     Raises ValueError for an environment whose observation is not a Dict.
@@ -24,8 +24,13 @@ class FlatObservation(gym.wrappers.FlattenObservation):
         space = env.observation_space
         if not isinstance(space, spaces.Dict):
             raise ValueError(f"FlatObservation: expected a Dict, got {space}")
-        kept = [name for name, box in space.items() if len(box.shape or ()) < 3]
-        super().__init__(gym.wrappers.FilterObservation(env, kept))
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._parts = spaces.Dict({name: box for name, box in space.items() if len(box.shape or ()) < 3})
+        self.observation_space = spaces.flatten_space(self._parts)
+
+    def observation(self, observation: Any) -> Any:
+        return spaces.flatten(self._parts, observation)
 
 
 class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):

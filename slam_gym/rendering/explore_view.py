@@ -33,11 +33,12 @@ class Layout(NamedTuple):
 def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
     """A surface with the present state of an episode; `goals` (g, 2) in B are the legal ones."""
     scene = scene_of_episode(episode, goals=goals, covisibility=covisibility)
-    scene = scene._replace(
-        scan_points=transform(compose(episode.base, episode.slam.map.pose), episode.scan.points),
-        decisions=episode.identities.decisions,
-        paired_positions=paired_positions(episode.last_step, episode.slam.map.ids, scene.landmarks),
-    )
+    if episode.truth.pose is episode.poses[-1]:  # else an error has ended the tick before the scan was decided
+        scene = scene._replace(
+            scan_points=transform(compose(episode.base, episode.slam.map.pose), episode.scan.points),
+            decisions=episode.identities.decisions,
+            paired_positions=paired_positions(episode.last_step, episode.slam.map.ids, scene.landmarks),
+        )
     return draw_floor(scene, episode.site.plan.bounds, episode.scenario.name, _figures(episode))
 
 

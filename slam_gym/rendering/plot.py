@@ -162,9 +162,9 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
 
     With `errors`, yellow lines lead from true features to their positions in the map.
     """
+    ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
     from matplotlib.collections import LineCollection
 
-    ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
     ax.set(xlabel=ax.get_xlabel() or "x [m]", ylabel=ax.get_ylabel() or "y [m]")
     points, lines = wall_lines(grid.cells, compose(episode.base, np.array([*grid.origin, 0.0])), grid.resolution)
     lines = np.concatenate([lines, np.tile(points, 2)])  # a cell without neighbours is a dot
@@ -191,8 +191,10 @@ def trail(poses: list[Array], most: int | None = None) -> Array:
 
 def _axes(ax: Axes | None, aspect: Literal["equal", "auto"] = "equal") -> Axes:
     if ax is None:
-        import matplotlib.pyplot as plt
-
+        try:
+            import matplotlib.pyplot as plt
+        except ImportError as error:
+            raise ImportError('plots need matplotlib: pip install "slam_gym[agents]"') from error
         ax = plt.subplots(layout="constrained")[1]
         ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_aspect(aspect)

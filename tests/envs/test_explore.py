@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.association import gcbb
 from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.simulation.goals import LOOK, SLOTS
 from slam_gym.types import Truth
@@ -47,9 +48,10 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario, a
 
 
 def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
-    env = explore(short(120), associator="nearest_neighbour")
+    env = explore(short(120, "drift-2"), associator="nearest_neighbour", atlas=False)
     infos = [info for *_, info in episode(env)]
     tally = env.episode.identities.total
+    assert min(tally.fp_wrong, tally.fp_spurious, tally.fp_duplicate) > 0
     assert sum(info["pairings_right"] for info in infos) == tally.tp > 100
     assert sum(info["pairings_wrong"] for info in infos) == tally.fp
     assert sum(info["pairings_missed"] for info in infos) == tally.fn
@@ -141,6 +143,20 @@ def test_settings_of_slam_are_those_of_the_scenario() -> None:
     env = explore(overrides={"slam.reach": 3.0, "slam.locality": False})
     env.reset(seed=0)
     assert env.episode.slam.spec.reach == 3.0 and not env.episode.slam.spec.locality
+
+
+def test_a_lost_robot_is_searched_for_in_the_locality_asked_for() -> None:
+    asked = []
+
+    def search(scan, landmarks, locality):
+        asked.append(locality)
+        return gcbb(scan, landmarks, locality)
+
+    for kind in ("distance", None):
+        env = explore(relocation=search, relocation_locality=kind)
+        env.reset(seed=0)
+        env.relocate(env.episode.scan, env.episode.slam.map, env.episode.slam.covisibility, 0.5, None)
+    assert asked[0] is not None and asked[-1] is None
 
 
 def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:

@@ -19,7 +19,6 @@ from tests.oracles.relocation_walks import by_chance
 from tests.rollouts import at_random, bare, differences, episode, relocate, short
 
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
-SMALL = short(120)
 
 
 def by(policy):

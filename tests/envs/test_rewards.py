@@ -26,7 +26,8 @@ def test_rewards_sum_to_the_first_error_minus_the_last(reward, action) -> None:
 
 def test_in_a_second_map_whose_place_nobody_knows_certainty_pays_nothing() -> None:
     env, paid = explore(short(60), action="twist", reward="a_opt"), []
-    for tick, (_, reward, *_) in enumerate(episode(env, seed=1)):
+    for tick, (_, reward, *_, info) in enumerate(episode(env, seed=1)):
+        assert np.isnan(info["pose_nees"]) == (tick > 30)
         if tick == 30:
             env.episode.slam.atlas.inactive.append(MappedArea(StochasticMap(), CovisibilityGraph()))
         paid.append(reward)

@@ -1,5 +1,7 @@
 """Wrappers: the same numbers in another form, masks where they belong, and the checkers of Gymnasium and SB3."""
 
+import pickle
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -25,6 +27,7 @@ def test_observations_are_those_of_the_environment_in_another_form(name, how):
     plain, env = bare(name, **SMALL), WRAPPED[how](bare(name, **SMALL))
     whole, info = plain.reset(seed=3)
     seen, _ = env.reset(seed=3)
+    env = pickle.loads(pickle.dumps(env))
     for _ in range(3):
         assert env.observation_space.contains(seen)
         names = [name for name in plain.observation_space.spaces if name != "image"]

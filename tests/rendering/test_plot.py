@@ -1,5 +1,6 @@
 """Plots for users: what is in the map, the scan and the hypothesis is in the picture, at its place."""
 
+import sys
 from dataclasses import replace
 
 import gymnasium as gym
@@ -59,6 +60,12 @@ def test_an_exploration_is_drawn_in_the_frame_of_the_world():
     given = ax.figure.add_subplot(xlabel="east [m]")
     plot_episode(episode, given)
     assert (given.get_xlabel(), given.get_ylabel()) == ("east [m]", "y [m]")
+
+
+def test_without_matplotlib_the_error_names_the_extra(slam, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    with pytest.raises(ImportError, match=r"slam_gym\[agents\]"):
+        plot_map(slam[0].map)
 
 
 def test_pairings_that_are_wrong_are_told_by_their_lines_too(slam):
