@@ -11,7 +11,7 @@ A further pairing d appends two rows to every w_c: with S_d|H = l lᵀ,
     v = l⁻¹ (S_dc − w_dᵀw_c),   w_c ← (w_c, v),   e_c ← e_c − vᵀ l⁻¹e_d,   S_c|H ← S_c|H − vᵀv.
 
 This is a Cholesky factorisation of the path that is updated for every candidate, in O(|H|) for each; nothing is
-factored a second time. `condition` is the only implementation of this step. Branch and bound applies it to all
+factored a second time. `condition` implements this step. Branch and bound applies it to all
 candidates that may still become legal, a walk and 1-point RANSAC to all candidates of later levels, the beam to one
 candidate at a time.
 """

@@ -322,7 +322,7 @@ class StochasticMap:
 
     def save(self, path: str | Path) -> None:
         """Write the contents of the map and its settings into an .npz file. Raises ValueError for a map of more than
-        1 GB, some 5 700 features."""
+        1 GB, some 5 800 features."""
         state = self.state
         parts = {field.name: getattr(state, field.name) for field in fields(MapState)}
         if state.covariance.nbytes > _LARGEST_FILE - (1 << 20):  # which leaves room for the rest

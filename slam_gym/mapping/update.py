@@ -8,7 +8,7 @@ the robot's rotation and t its position. Its Jacobian is
 Cᵀ is common to all features, so the kernels take innovations in axes parallel to B and turn only the results into R.
 
 **A right-invariant filter** (Barrau and Bonnabel 2015; Zhang et al., IEEE RA-L 2(2), 2017) uses the error of the group
-of motions, δθ, δt − J t δθ and δF_j − J F_j δθ. In these coordinates neither motion nor measurement depends on the
+of motions, δθ, δt − J t δθ and δF_j − J F_j δθ. In these coordinates neither F (the identity) nor C H depends on the
 estimate, so the unobservable directions, position and orientation of the whole map in B, never gain information. P is
 stored in ordinary coordinates nevertheless, because prediction and adding are the same in both. The update differs in
 three ways. H takes Δ from the prior in every iteration, and only C from the latest iterate. The correction δ moves the

@@ -41,7 +41,7 @@ class NegativeEvidence:
     scans that did not measure them, is at least 4, and at least the number of scans that measured them. The robot must
     know where it is: from a wrong pose, all features seem to be absent.
 
-    **A loop is missed** where old features are absent, and others are paired in their place. Old are established
+    **A loop is missed** where old features are absent, and others are paired in their place. Old are confirmed
     features that were last seen more than 100 steps ago. Where the prediction does not tell what is in view, they were
     also seen in ten scans or more. They should then be in view if one of the looks before measured them from about here
     (within a metre or so), so that no wall hides them, and they lie well inside the sector in which anything was

@@ -61,7 +61,7 @@ view from a pose; returns a relocation, or None where the scan does not determin
 class Tracker:
     """Counts the consecutive scans that do not show what the map predicts.
 
-    A feature should be in view if it is established, and either its visibility is at least one half, or the last scan
+    A feature should be in view if it is confirmed, and either its visibility is at least one half, or the last scan
     that measured anything and was believed paired it, and nothing says that it has gone out of view since. Unless the
     robot is lost, the feature must also be near (`Prediction.near`): since the robot saw the others it has drifted, and
     a wall may hide them that is not where the map has it. `slam.negative_evidence` judges whether those are missing.
@@ -69,7 +69,7 @@ class Tracker:
 
     - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
     - right after a scan that was believed, hardly any measurement is paired. Where the view is known, pairings with
-      features that are not established yet count here, too: behind a door, nearly everything is new.
+      features that are not confirmed yet count here, too: behind a door, nearly everything is new.
 
     Where the prediction tells what is in view, a scan of fewer than `min_expected` measurements is not counted as
     doubted: what should be in view may be hidden by something that is not mapped yet, and a few spurious measurements
@@ -153,7 +153,7 @@ class Tracker:
         self, scan: Scan, before: tuple[Prediction, Hypothesis], after: tuple[Prediction, Hypothesis]
     ) -> bool:
         """Whether the hypothesis `after`, for a prediction with slip, is jointly compatible, and pairs half of the scan
-        with established features and no less than the one `before`.
+        with confirmed features and no less than the one `before`.
 
         Where the view is unknown, and gates are wider, it must pair most of the scan. If the pairings `before` are
         believed and fit, chance must also bring those `after` less often than them, and hardly ever.
@@ -330,7 +330,7 @@ def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: 
 
 
 def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFrom | None) -> bool:
-    """Whether most of the established features that should be in view from the pose found, if known, are paired."""
+    """Whether most of the confirmed features that should be in view from the pose found, if known, are paired."""
     if view_from is None:
         return True
     relocated = m.copy()

@@ -273,7 +273,7 @@ class Slam:
 
     @property
     def reach(self) -> float:
-        """[m] within which features are predicted: `spec.reach`, or the distance of the farthest measurement so far."""
+        """[m] within which features are predicted: `spec.reach`, or to the farthest measurement so far and 3 σ more."""
         return self._farthest if self.spec.reach is None else self.spec.reach
 
     @property

@@ -305,7 +305,7 @@ class Effort:
     nodes: int = 0  # hypotheses visited in the interpretation tree
     individual_tests: int = 0  # pairings tested for individual compatibility
     joint_tests: int = 0  # joint compatibility tests
-    limit_hit: bool = False  # the node limit ended the search: the hypothesis may not be the best
+    limit_hit: bool = False  # a limit of the search was reached: the hypothesis may not be the best
     unary_tests: int = 0  # pairings tested by size and kind, whatever the pose
     binary_tests: int = 0  # pairs of pairings tested by their distances
     leaves: int = 0  # hypotheses complete enough to be located

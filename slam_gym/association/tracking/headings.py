@@ -3,8 +3,8 @@
 The predicted position of a feature at range r depends on the heading by a rotation, which a Gaussian prediction
 replaces by its tangent. The tangent is off by r φ²/2 for a robot that has turned by φ more than estimated. A heading of
 variance σ² is approximated by a mixture of headings φ_k of variance s², with weights N(φ_k; 0, σ² − s²): the φ_k lie
-2s apart, and the mixture has 0.75 (σ just above s) to 0.99 of the variance σ². In part k, with c_j = H_j P e_θ and
-a_j = J p̂_j + c_j/σ² (see `ipjc`), feature j is predicted at m_j = Rot(−φ_k)(p̂_j + φ_k a_j), with
+2s apart, and the mixture has 0.75 to 0.99 of the variance σ² up to σ = 0.46 rad, a quarter at 1 rad. In part k, with
+c_j = H_j P e_θ and a_j = J p̂_j + c_j/σ² (see `ipjc`), feature j is predicted at m_j = Rot(−φ_k)(p̂_j + φ_k a_j), with
 
     S_jl|k = Rot(−φ_k)(S_jl − c_j c_lᵀ/σ²) Rot(φ_k) + s² g_j g_lᵀ,   g_j = Rot(−φ_k) a_j − J m_j,
 

@@ -4,11 +4,11 @@ With x_c the inputs of pairing c, centred, scaled and clipped to ±2.5, and the 
 measurement, or of a feature,
 
     h_c = max(0, A x_c + a),   g_c = (h_c, max of h over the rivals of its measurement, over those of its feature),
-    odds_c = wᵀx_c + vᵀ max(0, B g_c + b) + w₀.
+    log odds_c = wᵀx_c + vᵀ max(0, B g_c + b) + w₀.
 
 So a pairing is judged beside its rivals; no other form of attention was needed. Inputs farther than ±2.5 from the
-centre lie outside the training data: each such input halves the odds, so that the model of `marginal` decides where the
-situation is unfamiliar. The network is evaluated by plain loops over plain arrays, without a learning library.
+centre lie outside the training data: each such input halves the log odds, so that the model of `marginal` decides where
+the situation is unfamiliar. The network is evaluated by plain loops over plain arrays, without a learning library.
 
 All inputs come from the scan and the prediction. `INPUTS` lists those of one pairing in order. Any change of the list,
 or of how an input is computed, requires a new `VERSION`, which refuses the shipped weights until they are trained
@@ -61,7 +61,7 @@ INPUTS = (
 )
 _LEAST_SIZE = -6.0  # lower bound of the input of sizes
 _MIN_GAP, _MAX_GAP = 1e-2, 30.0  # [m] limits of the distance between neighbours
-FARTHEST = 2.5  # [scales] bound of an input's distance from the centre; inputs beyond are clipped and halve the odds
+FARTHEST = 2.5  # [scales] bound of an input, from the centre; inputs beyond are clipped and halve the log odds
 
 
 class Network(NamedTuple):

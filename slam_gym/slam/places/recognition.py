@@ -71,7 +71,7 @@ class Parts(NamedTuple):
 
 
 def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
-    """The established features (g,) that were seen last, ascending.
+    """The confirmed features (g,) that were seen last, ascending.
 
     They are those of the recent scans, and features up to two links of the covisibility graph away from them.
     """
