@@ -73,10 +73,3 @@ def test_greedy_is_sequential_compatibility_nearest_neighbour():
         expected = association.greedy(scan, prediction, CONFIDENCE)
         features = [UNPAIRED if row == UNPAIRED else prediction.features[row] for row in expected]
         np.testing.assert_array_equal(associate(scan, prediction).features, features)
-
-
-def test_a_policy_associator_pickles():
-    associate = pickle.loads(pickle.dumps(from_policy(greedy, candidates=2)))
-    scan, prediction = next(problems(1))
-    expected = from_policy(greedy, candidates=2)(scan, prediction).features
-    np.testing.assert_array_equal(associate(scan, prediction).features, expected)

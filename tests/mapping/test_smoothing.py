@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.geometry import compose, inverse, observe, relative, transform, wrap_angle
+from slam_gym.geometry import compose, observe, relative, wrap_angle
 from slam_gym.mapping.smoothing import Smoothed, smooth
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
@@ -31,21 +31,13 @@ def run_of(steps: list[Step]) -> tuple[list[Odometry], list[Scan], list[IntArray
     return [step.odometry for step in steps], [step.scan for step in steps], [step.sources for step in steps]
 
 
-def test_without_noise_the_optimum_is_the_truth() -> None:
-    log = drive(noise=0.0)
-    best, into_log = smooth(*zip(*log.steps())), compose(log.motions[0], inverse(log.reference_poses[0]))
-    assert best.chi2 < 1e-12
-    np.testing.assert_allclose(best.poses, [compose(into_log, pose) for pose in log.reference_poses], atol=1e-6)
-    np.testing.assert_allclose(best.positions, transform(into_log, log.landmarks[best.ids]), atol=1e-6)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_optimum_and_covariance_are_those_of_a_dense_solver(seed: int) -> None:
     rng = np.random.default_rng(seed)
     steps = list(wander(rng, 8, rng.uniform([-3.0, -2.0], [4.0, 5.0], (5, 2)), q=np.diag([0.1, 0.05, 0.08]) ** 2))
     odometry, scans, sources = run_of(steps)
     pairings = [1000 - 7 * seen for seen in sources]  # any numbers will do
-    pairings[3][0] = -1
+    pairings[3][:2] = -1, -2
     best = smooth(odometry, scans, pairings)
     T = len(steps)
 

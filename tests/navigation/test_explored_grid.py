@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.navigation.explored_grid import BLOCK, FREE, UNKNOWN, WALL, ExploredGrid
-from slam_gym.navigation.frontiers import frontiers
 from slam_gym.types import Beams
-from slam_gym.world.ray_casting import NOTHING, cast, outlines, wall_index
 
 BOUNDS = np.array([-8.0, -7.0, 8.0, 7.5])
 BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
@@ -17,26 +15,6 @@ NO_FEATURES = np.empty((0, 2))
 
 def sweep(ranges, bearings=BEARINGS, max_range=6.0):
     return Beams(bearings, np.asarray(ranges, dtype=float), max_range)
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4, 2.0])
-def test_room_is_mapped_where_it_is(heading):
-    """A room of 5 × 3.4 m in a base frame turned by any angle: walls within a cell of the true ones, no frontier."""
-    rng = np.random.default_rng(2)
-    c, s = math.cos(heading), math.sin(heading)
-    to_base = np.array([[c, s], [-s, c]])  # rows of W → B
-    grid = ExploredGrid(np.array([-7.0, -7.0, 7.0, 7.0]))
-    room = wall_index(outlines(np.array([[0.0, 0.0, 5.0, 3.4, 0.0]])))
-    for _ in range(400):
-        pose = np.array([*rng.uniform([-2.2, -1.4], [2.2, 1.4]), rng.uniform(-4, 4)])
-        ranges = cast(room, pose[:2], pose[2] + BEARINGS, 6.0, NOTHING) + 0.03 * rng.normal(size=40)
-        grid.integrate(np.array([*(to_base @ pose[:2]), pose[2] - heading]), sweep(ranges))
-    rows, columns = np.nonzero(grid.cells == WALL)
-    walls = (grid.origin + (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution) @ to_base
-    beyond = np.abs(walls) - [2.5, 1.7]
-    assert (np.abs(beyond).min(axis=1) < 0.25).all() and (beyond < 0.25).all()
-    assert abs((grid.cells == FREE).sum() * grid.resolution**2 - 5.0 * 3.4) < 3.4
-    assert len(frontiers(grid, grid.cells == FREE)) == 0
 
 
 def test_bad_readings_are_ignored_and_bad_poses_refused():

@@ -16,13 +16,15 @@ def written(folder, text):
 
 
 def test_steps_motions_and_measurements_are_read(tmp_path):
-    rows = "0,0,0,0,8,1\n0,,,,6,-2\n0.5,1,0.1,-0.2,,\n\n1.5,2,0,0,4,0.5\n"
+    rows = "0,3,0,1,8,1\n0,,,,6,-2\n0.5,1,0.1,-0.2,,\n\n1.5,2,0,0,4,0.5\n"
     (log,) = open_recordings(written(tmp_path, HEAD + rows))
     assert log.name == "mine.csv" and log.times.tolist() == [0.0, 0.5, 1.5] and log.starts.tolist() == [0, 2, 2, 3]
     assert log.points.tolist() == [[8, 1], [6, -2], [4, 0.5]] and log.motions[1].tolist() == [1, 0.1, -0.2]
     assert (log.sources == -2).all() and log.range == pytest.approx(np.hypot(8, 1))
     assert log.field_of_view == pytest.approx(2 * np.arctan2(2, 6))
-    assert (np.diff(np.sqrt(log.motion_covariances[:, 0, 0])) > 0).all()  # the longer, the less certain
+    d = np.hypot(1, 0.1)
+    sigmas = [[0.02, 0.02, 0.01], [0.02 + 0.01 * d] * 2 + [0.01 + 0.02 * d + 0.05 * 0.2]]
+    assert np.allclose(log.motion_covariances[:2], np.eye(3) * np.square(sigmas)[:, None])
     save(log, tmp_path / "mine.npz")
     assert np.array_equal(load(tmp_path / "mine.npz").covariances, log.covariances)
 

@@ -19,7 +19,9 @@ def test_motions_and_barcodes_of_a_robot_are_those_of_the_vicon(data_dir, robot)
     true = interpolate(log.reference_times, log.reference_poses, log.times)
     moved = np.array([relative(relative(true[k - 1], true[k]), log.motions[k]) for k in range(1, len(log))])
     nees = np.einsum("ti,tij,tj->t", moved, np.linalg.inv(log.motion_covariances[1:]), moved)
-    assert np.median(nees) < 2.4 and (nees < 30.0).mean() > 0.95  # the median of χ²_3 is 2.37
+    assert nees.mean() < 1.9 and (nees < 30.0).mean() > 0.95  # 3 for motions as bad as they say
+    C = log.motion_covariances  # an early error of the heading becomes a lateral one later
+    assert (C[:, 1, 2] * log.motions[:, 0]).sum() > 0.0 > (C[:, 0, 2] * log.motions[:, 1]).sum()
     place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
     assert sorted(place) == list(range(6, 21)) and set(log.sources) <= {SPURIOUS, *place}
     errors = []
@@ -48,6 +50,3 @@ def test_a_set_that_is_not_there_or_damaged_is_named(data_dir, tmp_path) -> None
         path.write_bytes(gzip.compress(text.encode()))
         with pytest.raises(RecordingError, match=message):
             mrclam(folder, 1)
-    path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(RecordingError, match=r"Robot1_Measurement\.dat\.gz"):
-        mrclam(folder, 1)

@@ -149,15 +149,6 @@ def test_what_is_wrong_is_named_with_its_file_field_and_entry(tmp_path, changes,
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize("keep", [0.0, 0.3, 0.9, 0.999])
-def test_a_truncated_file_is_named(tmp_path, keep) -> None:
-    path = written(tmp_path / "cut.npz")
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(keep * len(whole))])
-    with pytest.raises(RecordingError, match=r"cut\.npz"):
-        load(path)
-
-
 def test_evo_reads_back_what_was_written(tmp_path) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface")
     times, poses = 1.7e9 + 0.05 * np.arange(5.0), np.random.default_rng(0).uniform(-3, 3, (5, 3))

@@ -15,16 +15,14 @@ from slam_gym.simulation.association_runs import (
     DRIVERS,
     DrivenRun,
     LoggedRun,
-    ScanLog,
     nearest_frontier,
     random_goal,
 )
 from slam_gym.simulation.goals import FRONTIERS, LOOK, SLOTS, Goals
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world import corridor
-from tests.recordings import looks
 from tests.simulation.episodes import SMALL, site_of
 
 
@@ -95,14 +93,6 @@ def test_its_map_is_measured_in_its_own_base() -> None:
     np.testing.assert_allclose(run.targets, CORRIDOR.targets, atol=1e-9)
     assert errors[0] == 1.0 and errors[-1] < 0.5
     assert errors[-1] == map_error(run.slam.map.confirmed, run.targets, CORRIDOR.prior_sigma)
-
-
-def test_without_known_places_the_map_is_as_bad_as_an_empty_one() -> None:
-    log = looks(0, 15)
-    world = ScanLog("circle", lambda rng: iter(log), 15, SlamSpec(), np.empty((0, 2)))
-    blind = LoggedRun(world, np.random.default_rng(0))
-    play(blind, jcbb)
-    assert blind.map_error() == 1.0
 
 
 def test_a_log_that_is_shorter_than_it_says_is_refused_by_name() -> None:

@@ -123,9 +123,10 @@ def test_a_goal_that_no_path_leads_to_costs_one_tick_at_rest() -> None:
     env = explore("office")
     env.reset(seed=0)
     before = env.episode.world.pose
-    for command in commands(env.episode, 1, np.array([500.0, 500.0])):
-        env.episode.tick(*command)
-    assert env.episode.ticks == 1
+    for slot in (FRONTIERS, FIRST_REVISIT):
+        for command in commands(env.episode, slot, np.array([500.0, 500.0])):
+            env.episode.tick(*command)
+    assert env.episode.ticks == 2 and env.episode.tried.times(np.full((1, 2), 500.0))[0] == 1  # as a frontier only
     np.testing.assert_allclose(env.episode.world.pose, before, atol=1e-9)
 
 

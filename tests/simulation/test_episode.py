@@ -135,14 +135,6 @@ def test_the_first_look_is_no_tick_and_every_tick_is_written_down() -> None:
     assert not episode.over
 
 
-def test_an_episode_is_over_when_its_budget_is_spent() -> None:
-    episode = start()
-    for tick in range(SMALL.budget):
-        assert not episode.over, tick
-        episode.tick(0.0, 0.0)
-    assert episode.over and episode.kidnapping.happened is None
-
-
 def test_straight_walls_correct_the_wheels_where_the_scenario_says_so() -> None:
     wheels, walls = (drive(start(short(25, "hall", wall_compass=on)), 25) for on in (False, True))
     np.testing.assert_array_equal(wheels.poses, walls.poses)  # the same world, driven the same way
@@ -203,6 +195,16 @@ def test_what_happens_does_not_depend_on_who_associates() -> None:
     np.testing.assert_array_equal(one.poses, other.poses)
     np.testing.assert_array_equal(one.scan.points, other.scan.points)
     np.testing.assert_array_equal(one.odometry.motion, other.odometry.motion)
+
+
+def test_virtual_landmarks_are_as_uncertain_in_the_world_as_the_pose_is_in_the_base() -> None:
+    episode = start(virtual=True)
+    episode.virtual_map.covariances[:], heading = np.eye(2), episode.base[2]
+    episode.slam.map.place(episode.slam.map.pose, np.diag([0.5, 0.0, 0.0]))  # along x of B
+    episode._explore()
+    off = np.unique(episode.virtual_map.covariances[..., 0, 1].round(9))
+    np.testing.assert_allclose(off[off != 0.0], 0.5 * np.cos(heading) * np.sin(heading), atol=1e-9)
+    assert len(off) == 2
 
 
 # --- sites ------------------------------------------------------------------------------------------------------------

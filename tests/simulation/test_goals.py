@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from slam_gym.navigation.active_slam import features_in_sight
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.frontiers import frontiers
 from slam_gym.navigation.planner import distance_field
@@ -40,6 +41,8 @@ def test_goals_are_what_they_say(scenario) -> None:
         )
         assert (offer.areas[1 : 1 + ends] >= WORTH_SEEING).all()
         assert (np.diff(offer.lengths[1 : 1 + ends]) >= 0.0).all()
+        here = features_in_sight(slam_map.mean, grid, slam_map.pose[None, :2], scene.sensor.range)[0]
+        assert offer.in_view[LOOK] == pytest.approx(scene.sensor.field_of_view / math.tau * here)
         assert (offer.reductions >= 0.0).all() and np.isfinite(offer.reductions).all()
         for values in (offer.positions, offer.lengths, offer.areas, offer.reductions):
             assert not values[~offer.legal].any()

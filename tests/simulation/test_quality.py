@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
 
 from slam_gym.geometry import compose, transform
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import KidnappingSpec
 from slam_gym.simulation.quality import quality
+from tests.metrics.test_map_quality import dense_optimum
 from tests.rollouts import short
 from tests.simulation.episodes import drive, start
 
@@ -49,18 +49,11 @@ def test_the_shape_of_the_map_is_measured_over_the_oldest_feature_of_each_source
     assert found["landmark_rmse_aligned"] <= found["landmark_rmse_raw"]
 
 
-def gospa_of(estimated, true) -> float:
-    """p = 2, α = 2: the best assignment of distances cut off at c, and c²/2 for each point left over."""
-    costs = np.minimum(np.hypot(*(estimated[:, None] - true).transpose(2, 0, 1)), CUTOFF) ** 2
-    left_over = abs(len(estimated) - len(true))
-    return math.sqrt(costs[linear_sum_assignment(costs)].sum() + 0.5 * CUTOFF**2 * left_over)
-
-
 def test_the_map_is_measured_as_a_set_of_points(judged) -> None:
     episode, found = judged
     assert found["features"] == len(episode.landmarks) > 10
     assert found["map_error"] == episode.map_error() and found["coverage"] == episode.coverage()
-    assert found["gospa"] == pytest.approx(gospa_of(episode.landmarks, episode.targets))
+    assert found["gospa"] == pytest.approx(math.sqrt(dense_optimum(episode.landmarks, episode.targets, CUTOFF, 2.0)))
     parts = [found[f"gospa_{name}"] for name in ("localisation", "missed", "false")]
     assert found["gospa"] ** 2 == pytest.approx(sum(part**2 for part in parts)) and min(parts) > 0.0
 

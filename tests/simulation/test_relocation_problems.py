@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.geometry import transform
+from slam_gym.geometry import compose, transform
 from slam_gym.scenarios import KidnappingSpec
 from slam_gym.simulation.relocation_problems import KNOWN, MappedWorld, kidnap
 from slam_gym.types import SPURIOUS, UNPAIRED
@@ -59,6 +59,10 @@ def test_inside_the_robot_has_been_there_and_knows_what_it_sees() -> None:
         sources = world.identities[drawn.features[paired]]
         assert np.hypot(*(in_world - world.site.plan.features.positions[sources]).T).max() < 0.5
     assert np.ptp(headings) > 3.0
+    drifted, drift = copy.copy(world), np.array([0.8, -0.5, 0.1])  # drift of the map is no error of the answer
+    drifted.landmarks = replace(world.landmarks, positions=transform(drift, world.landmarks.positions))
+    sound, far = (kidnap(each, SCENARIO, True, np.random.default_rng(1)).pose for each in (world, drifted))
+    np.testing.assert_allclose(far, compose(drift, sound))
 
 
 def test_outside_is_another_world_where_nothing_is_known() -> None:

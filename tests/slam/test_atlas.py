@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from slam_gym.association.prediction import StartRule
-from slam_gym.geometry import compose, relative
+from slam_gym.geometry import relative
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.metrics.consistency import pose_nees
-from slam_gym.metrics.map_quality import align_se2
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
@@ -87,24 +85,6 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_j
         assert judged.tally.precision > 0.95
 
 
-def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covariance() -> None:
-    distances = []
-    for seed in range(6):
-        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(EARLY, VIEW, relocate=nobody, atlas=AtlasSpec())
-        judged, _ = map_it(slam, log)
-        if not fused(slam, "maps"):
-            continue
-        # the base, as far as the landmarks around the robot tell: drift of the map is no error of the pose in it
-        m, sources = slam.map, judged.identities.source_of(slam.map.ids)
-        true = ring_of_landmarks(np.random.default_rng(seed))
-        near = np.argsort(np.hypot(*(m.positions - m.pose[:2]).T))[:8]
-        base = align_se2(true[sources[near]], m.positions[near])
-        away = relative(m.pose, compose(base, log.poses[-1]))
-        assert np.hypot(*away[:2]) < 0.4 and abs(away[2]) < 0.05, f"seed {seed}"
-        distances.append(pose_nees(m.pose, m.pose_covariance, compose(base, log.poses[-1])))
-    assert len(distances) >= 4 and np.median(distances) < 11.3  # χ²₃ at .99
-
-
 def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
     log = loop_drive(0, 200, drift=0.004)
     everything = replace(SPEC, max_accidental_matches=1e9)
@@ -175,6 +155,8 @@ def test_a_pairing_that_is_rejected_updates_and_starts_nothing(associator: str, 
     assert held.hypothesis.dof == 2 * held.hypothesis.pairings
     assert 0.0 < held.hypothesis.joint_distance < paired.hypothesis.joint_distance
     assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
+    by_rule = Slam(replace(SPEC, trust_marginals=False), relocate=nobody, atlas=AtlasSpec())
+    assert by_rule.step(odometry, scan, "marginal").rule is StartRule.FITS_NOTHING
 
 
 @pytest.mark.parametrize("view", [VIEW, None], ids=["view", "no view"])
@@ -241,8 +223,11 @@ def test_no_scan_is_searched_for_twice_in_one_map() -> None:
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
     log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(RecognitionSpec(min_pairs=100, group=100), patience=0)
     slam = Slam(SPEC, VIEW, relocate=nobody, atlas=spec)
-    removed = [slam.step(odometry, scan).removed for odometry, scan, _ in log.steps]
-    assert max(map(len, removed)) > 8 and slam.maps == (slam.map,)
+    removed = []
+    for odometry, scan, _ in log.steps:
+        removed.append(len(slam.step(odometry, scan).removed))
+        assert not slam.lost  # without patience, the other map begins in the scan in which the robot gets lost
+    assert max(removed) > 8 and slam.maps == (slam.map,)
 
 
 def test_an_atlas_without_relocation_is_refused() -> None:

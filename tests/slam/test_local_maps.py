@@ -110,6 +110,7 @@ def test_locality_is_the_local_map_a_feature_was_first_seen_in() -> None:
     numbers = run.slam.map_of(joined)
     for number, m in enumerate(run.slam.maps):
         assert set(joined.ids[numbers == number].tolist()) <= set(m.ids.tolist())
+        assert (run.slam.map_of(m) == number).all()
     sizes = locality_sizes(run.slam.locality(joined), joined.n)
     assert sizes.max() <= max(m.n for m in run.slam.maps)
 

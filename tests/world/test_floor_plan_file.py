@@ -125,6 +125,8 @@ def test_what_a_ros_map_has_not_explored_is_no_floor_whatever_its_threshold(tmp_
     settings = f"free_thresh: {threshold}\nnegate: {negate}"
     (tmp_path / "map.yaml").write_text(f"image: image.pgm\nresolution: 0.05\n{settings}")
     assert len(load_floor_plan(tmp_path / "map.yaml").features.positions) == 8
+    (tmp_path / "map.yaml").write_text(f"image: image.pgm\nresolution: 0.05\nmode: scale\n{settings}")
+    assert len(load_floor_plan(tmp_path / "map.yaml").features) == (4 if threshold > 50 / 255 else 8)  # a probability
 
 
 def test_pixels_that_are_transparent_are_refused_and_opaque_ones_are_read(tmp_path, cv2):

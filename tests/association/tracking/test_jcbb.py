@@ -34,20 +34,6 @@ def test_the_node_limit_is_reported_and_leaves_the_best_answer_so_far():
     assert answer.features.tolist() == free.features.tolist()
 
 
-@for_seeds(40)
-def test_jcbb_on_scans_of_full_size_is_legal_and_no_worse_than_a_greedy_path(seed):
-    rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, 14, 25, spread=3.0)
-    answer = jcbb(scan, prediction)
-    row_of = {int(feature): row for row, feature in enumerate(prediction.features)}
-    pairs = [(i, row_of[int(f)]) for i, f in enumerate(answer.features) if f != UNPAIRED]
-    assert len({row for _, row in pairs}) == len(pairs)
-    for k in range(1, len(pairs) + 1):
-        assert oracles.distance(scan, prediction, pairs[:k]) < oracles.gate(2 * k, 0.99)
-    greedy = oracles.greedy(scan, prediction, 0.99)
-    assert len(pairs) >= sum(row != UNPAIRED for row in greedy)
-
-
 @for_seeds(10)
 def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
     """Ten measurements of the same three features: a bound by levels would visit more than a thousand hypotheses."""

@@ -74,13 +74,6 @@ def test_with_locality_what_is_near_is_decided_first(seed):
     check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking, earlier)
 
 
-@for_seeds(30)
-def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
-    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
-    pairings = [map_hypothesis(scan, prediction, density=d).dof for d in (1e-6, 1e-2, 1.0, 1e3, 1e9)]
-    assert pairings == sorted(pairings, reverse=True) and pairings[-1] == 0
-
-
 @pytest.mark.parametrize("v", [[0.5, 0.5], [0.5, 0.5, 1.5], [0.5, math.nan, 0.5]])
 def test_a_visibility_that_is_no_probability_is_refused(v):
     _, prediction = oracles.problem(np.random.default_rng(0), 3, 3)

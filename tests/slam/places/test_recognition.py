@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.places.recognition import RecognitionSpec, as_scan, recognise
+from slam_gym.slam.places.recognition import RecognitionSpec, as_scan, least_pairs, recognise
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.oracles.geometry import rigid_motions
 from tests.oracles.statistics import for_seeds
@@ -74,6 +74,10 @@ def test_a_part_of_a_dense_map_is_recognised_by_default(seed: int) -> None:
     assert found is not None and found.pairings >= 18
     assert np.isin(found.features, [UNPAIRED, *near[:20]]).all()
     np.testing.assert_allclose(found.pose, pose, atol=0.1)
+
+
+def test_each_doubling_of_what_is_searched_requires_one_more_pair() -> None:
+    assert [least_pairs(among, RecognitionSpec()) for among in (8, 100, 101, 200, 201, 1600)] == [8, 8, 9, 9, 10, 12]
 
 
 def test_a_loop_of_more_pairs_than_the_recent_part_has_features_is_refused() -> None:
