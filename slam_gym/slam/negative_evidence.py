@@ -7,9 +7,12 @@ may leave a copy of one. Such a feature should be in view, scan after scan, and 
 **Missed loops.** The robot is back where it was before, recognises nothing, and maps the place for the second time.
 Nothing looks wrong then. New features explain the scans, and D²_H is that of a sound map. But features mapped long ago
 should be in view, and others are paired in their place. Place recognition then searches the whole map
-(`places.fusion.close_missed_loop`).
+(`places.fusion.close_missed_loop`). The sign must not be false: a building has places that are alike, and such a search
+takes one for the other.
 """
 
+import math
+from bisect import bisect
 from collections import deque
 
 import numpy as np
@@ -42,7 +45,9 @@ class NegativeEvidence:
     know where it is: from a wrong pose, all features seem to be absent.
 
     **A loop is missed** where old features are absent, and others are paired in their place. Old are confirmed
-    features that were last seen more than 100 steps ago. Where the prediction does not tell what is in view, they were
+    features that were last seen more than 100 steps ago. If the view is known, most of the others are newer: started
+    since the absent ones were seen. Where features known for longer are measured, the robot knows the place, and walls
+    that it has not explored hide the rest. Where the prediction does not tell what is in view, they were
     also seen in ten scans or more. They should then be in view if one of the looks before measured them from about here
     (within a metre or so), so that no wall hides them, and they lie well inside the sector in which anything was
     measured so far.
@@ -58,6 +63,7 @@ class NegativeEvidence:
         self._scans = 0  # learned from so far
         self._absent: dict[int, float] = {}  # by id of the feature: sum of the probabilities that it was in view
         self._replaced: deque[int] = deque(maxlen=_LOOKS)  # number of features in the last looks
+        self._begun: list[tuple[float, float]] = []  # by look: the step, and the id of the next feature to start
         self._measured_from: set[tuple[int, int, int]] = set()  # id of a feature, and square around it
 
     def learn(self, prediction: Prediction, hypothesis: Hypothesis, m: StochasticMap) -> IntArray:
@@ -97,8 +103,13 @@ class NegativeEvidence:
         old = ~prediction.provisional & (m.step - m.last_seen[prediction.features] > _OLD)
         old &= prediction.has_view | (m.seen[prediction.features] >= _SURE)
         expected = prediction.features[old & self._in_view(prediction, m)] if old.any() else _NO_FEATURES
-        absent = len(expected) - int(np.isin(expected, paired).sum())
-        self._replaced.append(min(absent, len(paired)))
+        absent, others = expected[~np.isin(expected, paired)], len(paired)
+        self._begun.append((m.step, m.next_id))
+        if prediction.has_view and len(absent):
+            unseen_since = float(np.median(m.last_seen[absent]))
+            first_new = self._begun[bisect(self._begun, (unseen_since, math.inf), lo=1) - 1][1]
+            others = int(np.where(m.ids[paired] >= first_new, 1, -1).sum())
+        self._replaced.append(max(min(len(absent), others), 0))
         least = _REPLACED if prediction.has_view else _REPLACED_WITHOUT_VIEW
         if len(self._replaced) == _LOOKS and sum(self._replaced) >= least * _LOOKS:
             self.missed_loop = True

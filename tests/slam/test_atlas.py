@@ -188,6 +188,13 @@ def test_a_wrong_pairing_with_one_old_feature_does_not_hide_that_those_around_it
     assert slam.missed_loop == (moved > 0.0)
 
 
+def test_features_that_something_hides_are_no_missed_loop_while_others_of_the_place_are_measured() -> None:
+    place, slam = np.random.default_rng(0).uniform(1.0, 4.0, (18, 2)), Slam(SlamSpec(lost_fraction=0.0), VIEW)
+    for step in range(350):
+        slam.step(STILL, Scan.from_points(place if step < 50 else place[:12], sigma=0.02), "nearest_neighbour")
+    assert len(slam.map) == 18 and not slam.missed_loop
+
+
 def test_where_the_view_is_unknown_no_feature_is_missed_that_walls_have_always_hidden_from_here() -> None:
     """The robot drives round a block, and then round it again in the next corridor, behind a wall."""
     rng, slam, hidden = np.random.default_rng(0), Slam(SlamSpec(), relocate=nobody), 0
