@@ -94,7 +94,7 @@ class MappedLog:
     log: Recording
     slam: Slam  # after the last step
     doubted: int  # scans that were doubted
-    deviation: float  # D² of all pairings over its degrees of freedom, about 1 where the sigmas are right
+    deviation: float  # D² of all pairings over its degrees of freedom (at least 40), about 1 where sigmas are right
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
     measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
@@ -147,7 +147,7 @@ def map_log(
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
     distance, dof = np.sum(fits, axis=0)
-    run = slam, sum(doubts), float(distance / max(dof, 1)), np.array(poses), np.array(covariances)
+    run = slam, sum(doubts), float(distance / max(dof, 40)), np.array(poses), np.array(covariances)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 

@@ -43,7 +43,8 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
         range: [m] of the sensor; by default the distance of the farthest measurement.
         field_of_view: [rad] centred on the heading; by default the smallest that contains all measurements.
 
-    Raises FileNotFoundError, or RecordingError that names file, line and column.
+    Raises FileNotFoundError, or RecordingError that names file, line and column; for a covariance that is too
+    elongated, the number of the measurement, from 0.
     """
     file = Path(path)
     with naming(file):
@@ -134,11 +135,12 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
         "column 'source' is below -2": source < UNLABELLED,
         "column 'source' is above 2⁵³, the limit of exact integers": source > 2.0**53,
         "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
+        "column 'size' is negative": table.get("size", np.zeros(1)) < 0.0,
     }
     for name, often in (("turn", "degrees, or absolute headings"), ("bearing", "degrees")):
         beyond = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
         refused[f"column {name!r} [rad] is more than a turn; are these {often}?"] = beyond
-    for name in (name for name in (*MOTION, *measured, "size") if name in table):
+    for name in (name for name in table if name.removeprefix("sigma_") in (*MOTION, *measured, "size")):
         refused[f"column {name!r} is above {LARGEST:.0e}"] = np.abs(table[name]) > LARGEST
     for name in MOTION:
         refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]

@@ -35,6 +35,12 @@ def test_a_table_becomes_a_map_a_path_and_a_picture(tmp_path):
     assert Image.open(tmp_path / "out" / "mine.png").width > 500
 
 
+def test_a_log_of_two_scans_says_nothing_of_its_sigmas(tmp_path):
+    (tmp_path / "short.csv").write_text("time,forward,lateral,turn,x,y\n0,0,0,0,3,1\n1,0,0,0,3.11,1.11\n")
+    result = typed(slam.app, tmp_path / "short.csv", "--associator", "marginal", "--output", tmp_path)
+    assert result.exit_code == 0 and "sigmas" not in result.output
+
+
 @pytest.mark.parametrize("claimed", [0.05, 0.15])
 def test_a_map_far_from_the_origin_is_right_and_sigmas_that_are_too_small_are_told(tmp_path, claimed):
     rng, posts = np.random.default_rng(0), np.array([[x, y] for y in (2.0, 9.0, 16.0) for x in (3.0, 8.0, 13.0, 18.0)])

@@ -64,6 +64,8 @@ def test_columns_for_deviations_sizes_and_identities_are_used(tmp_path):
         ),
         (HEAD.strip() + ",source\n0,0,0,0,1,1,-3\n", "line 2: column 'source' is below -2"),
         (HEAD.strip() + ",size,sigma_size\n0,0,0,0,1,1,,1\n", "line 2: only one of 'size' and 'sigma_size' is given"),
+        (HEAD.strip() + ",size,sigma_size\n0,0,0,0,1,1,-1,1\n", "line 2: column 'size' is negative"),
+        (HEAD.strip() + ",sigma_x,sigma_y\n0,0,0,0,1,1,1e200,1\n", "line 2: column 'sigma_x' is above 1e+09"),
         (HEAD.strip() + ",sigma_x,sigma_y\n0,0,0,0,1,1,1e-9,1\n", "measurement 0: covariance has a condition number"),
         (HEAD + "0,0,0,0,1,1\n\n0,,,,1,\n", "line 4: only one of 'x' and 'y' is given"),
         (HEAD + "0,0,0,0,1,1\n1,,0,0,1,1\n", "line 3: column 'forward' is empty in the first row of a step"),

@@ -23,7 +23,8 @@ _UNDECIDED = -1  # in place of a level that is not known yet
 
 
 def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hypothesis:
-    """The jointly compatible hypothesis with the most pairings, and of these the one with the least D²_H.
+    """The hypothesis with the most pairings, and of these the one with the least D²_H, among those that are jointly
+    compatible at every level of the tree; their gates differ, so that the order of the scan may matter.
 
     Where the prediction has localities, two searches are made (`near_first`). Each is limited to `node_limit` nodes and
     a million joint tests. Where a limit is reached, `effort.limit_hit` is set and the best hypothesis so far is
