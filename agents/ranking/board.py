@@ -58,9 +58,9 @@ def entry_of(results: Results) -> Entry:
     losses = frame.set_index(["column", "setting", "episode"])["loss"].astype(float)
     if not (losses.index.is_unique and losses.between(0.0, math.inf, inclusive="left").all()):
         raise ValueError("its losses are not one number from 0 on for each world")
-    parts = Protocol(role, protocol["quick"])
-    worlds = {(setting, FIRST + k) for setting, count in parts.parts.items() for k in range(count)}
-    if code == parts.about["hash"] and set(losses.index.droplevel("column")) != worlds:
+    chosen = Protocol(role, protocol["quick"])
+    worlds = {(setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)}
+    if code == chosen.about["hash"] and set(losses.index.droplevel("column")) != worlds:
         raise ValueError("its worlds are not those of the protocol")
     return Entry(name, protocol, losses.round(6))
 

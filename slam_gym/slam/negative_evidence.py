@@ -96,7 +96,10 @@ class NegativeEvidence:
         return np.array(absent, np.int64)
 
     def _count_replaced(self, prediction: Prediction, hypothesis: Hypothesis, m: StochasticMap) -> None:
-        """Count the old features that should be in view while others are paired in their place."""
+        """Count the old features that should be in view while others are paired in their place.
+
+        Where the view is known, others are the newer ones, less those known for longer.
+        """
         paired = hypothesis.features[hypothesis.features != UNPAIRED]
         if not prediction.has_view:
             self._measured_from.update(_squares(m, paired))
