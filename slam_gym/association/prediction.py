@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym._jit import compiled
-from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import Counts, CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
 from slam_gym.mapping.measurement import foresee, joint_covariance, rows_for
@@ -45,6 +44,7 @@ class Expected(NamedTuple):
     sightings: IntArray
     sizes: Array
     size_variances: Array
+    facing: Array
     near: BoolArray
     positions: Array
     covariances: Array
@@ -67,11 +67,12 @@ def joint(expected: Expected, rows: IntArray) -> Array:
 
 
 @compiled
-def visibility(expected: Expected, positions: Array, covariances: Array) -> Array:
-    """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view; (0,) where unknown."""
+def visibility(expected: Expected, positions: Array, covariances: Array, facing: Array) -> Array:
+    """Probability (k,) that features at `positions` (k, 2) [m] in R are in view and, by `facing` (k,), face the robot;
+    (0,) where unknown."""
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
         return expected.visible
-    return probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
+    return facing * probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +129,12 @@ class Prediction:
     def size_variances(self) -> Array:
         """(k,) [m²] variance of each size."""
         return locked(self.expected.size_variances)
+
+    @property
+    def facing(self) -> Array:
+        """(k,) probability that each feature, if in view, is visible from the direction in which the robot is, given
+        the directions from which it was seen (see `mapping.measurement`)."""
+        return locked(self.expected.facing)
 
     @property
     def near(self) -> BoolArray:
@@ -241,7 +248,7 @@ class Prediction:
         blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
         known = np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)
         near, across, pose = np.ones(k, np.bool_), np.zeros((k, 2)), np.zeros(4)
-        rows = *known, *sizes_of(sizes, size_sigma, k), near, means, blocks, across
+        rows = *known, *sizes_of(sizes, size_sigma, k), np.ones(k), near, means, blocks, across
         source = pose, x, padded_P, _ALL_LOCAL, _NO_SENSOR, _NOTHING
         return cls(Expected(*rows, *source, k, second_order=False, view_moves=False), confidence)
 
@@ -320,7 +327,7 @@ def predict(
     (counted, sized, near, positions, covariances, across), (x, P, _, _) = rows, m.arrays
     view = _NO_SENSOR if sight is None else sight.arrays
     expected = Expected(
-        counted[0, :k], counted[1, :k], counted[2, :k], counted[3, :k], sized[ekf.SIZES, :k], sized[ekf.VARIANCES, :k],
+        counted[0, :k], counted[1, :k], counted[2, :k], counted[3, :k], sized[0, :k], sized[1, :k], sized[2, :k],
         near[:k], positions[:k], covariances[:k], across[:k], pose, x, P, counts, view, _NOTHING, m.n,
         spec.second_order, view_moves,
     )  # fmt: skip

@@ -4,8 +4,9 @@ State x = (robot R = [x m, y m, θ rad]; features F_1 … F_n [m]), all in B; d 
 **Only the upper triangle of P is stored**: P is symmetric by construction, and the work is halved. Arrays are `padded`;
 entries beyond d and below the diagonal are meaningless.
 
-The other properties of features are the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS, and
-`sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
+The other properties of features are the columns of two arrays: `counted` (6, ≥ n) of integers, rows IDS to DIRECTIONS,
+and `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown. In DIRECTIONS, bit k of a feature is set
+where a scan from the k-th of `SECTORS` directions has measured it.
 
 The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ.
 
@@ -21,8 +22,10 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays
 
-IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, number of steps that saw it, the first and the last, class
+# id, number of steps that saw it, the first and the last, class, directions from which it was seen
+IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS, DIRECTIONS = range(6)
 SIZES, VARIANCES = range(2)
+SECTORS = 60  # of 6° each, around a feature
 
 MapArrays = tuple[Array, Array, IntArray, Array]
 """x, P, `counted` and `sized` of a map."""
@@ -123,8 +126,17 @@ def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i:
     P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + ryy
     counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kinds[i]
     counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
+    counted[DIRECTIONS, n] = 1 << sector_of(x, n)
     known = math.isfinite(sizes[i]) and 0.0 < variances[i] < math.inf
     sized[SIZES, n], sized[VARIANCES, n] = sizes[i] if known else math.nan, variances[i] if known else math.nan
+
+
+@compiled
+def sector_of(x: Array, feature: int) -> int:
+    """The sector of a feature in which the robot is."""
+    f = 3 + 2 * feature
+    turns = math.atan2(x[1] - x[f + 1], x[0] - x[f]) / (2.0 * math.pi)
+    return int((turns - math.floor(turns)) * SECTORS) % SECTORS
 
 
 @compiled
@@ -156,13 +168,13 @@ def keep(arrays: MapArrays, kept: IntArray) -> None:
 
 @compiled
 def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -> None:
-    """Count this step once for each of `features` (m,), and learn their sizes and kinds from the measurements.
+    """Count this step once for each of `features` (m,), and learn their sizes, kinds and directions from the scan.
 
     A scalar Kalman filter updates a size: the first measured size replaces an unknown one (NaN), and a measured size
     that is NaN, or whose variance is not positive and finite, is ignored. The kind is the last that was reported.
     """
-    (_, _, counted, sized), (_, _, measured_sizes, measured_variances, measured_kinds) = arrays, scan
-    seen, last_seen, kinds = counted[SEEN], counted[LAST_SEEN], counted[KINDS]
+    (x, _, counted, sized), (_, _, measured_sizes, measured_variances, measured_kinds) = arrays, scan
+    seen, last_seen, kinds, directions = counted[SEEN], counted[LAST_SEEN], counted[KINDS], counted[DIRECTIONS]
     sizes, variances = sized[SIZES], sized[VARIANCES]
     for i in range(len(features)):
         f = features[i]
@@ -171,6 +183,7 @@ def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -
         if last_seen[f] != step:
             seen[f] += 1
             last_seen[f] = step
+        directions[f] |= 1 << sector_of(x, f)
         if measured_kinds[i] != UNKNOWN_KIND:
             kinds[f] = measured_kinds[i]
         z, r = measured_sizes[i], measured_variances[i]

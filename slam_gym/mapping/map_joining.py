@@ -54,7 +54,8 @@ def join(a: StochasticMap, b: StochasticMap, base: Array | None = None, *, robot
         entries = np.delete(np.arange(len(mean)), np.arange(3) + (0 if robot_of_a else 3))  # without the other robot
         mean, covariance = mean[entries], covariance[np.ix_(entries, entries)]
     step, next_id = max(first.step, second.step), max(first.next_id, second.next_id)
-    counted = np.concatenate([first.counted, second.counted], axis=1)
+    heading = float(first.mean[2] if base is None else base[2])  # of the base of b
+    counted = np.concatenate([first.counted, turned(second.counted, heading)], axis=1)
     sized = np.concatenate([first.sized, second.sized], axis=1)
     return StochasticMap.of_state(a.spec, MapState(mean, covariance, counted, sized, step, next_id))
 
@@ -89,7 +90,8 @@ def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Stoc
     the sightings, size and kind from all maps. The settings are those of the first map, the robot is that of the last.
     """
     best, states = join_all(maps, names), [m.state for m in maps]
-    counted = np.concatenate([state.counted for state in states], axis=1)
+    headings = best.poses[:, 2].tolist()
+    counted = np.concatenate([turned(state.counted, heading) for state, heading in zip(states, headings)], axis=1)
     sized = np.concatenate([state.sized for state in states], axis=1)
     ids, named = counted[ekf.IDS], np.concatenate(names)
     kept, dropped = np.flatnonzero(ids == named), np.flatnonzero(ids != named)
@@ -99,6 +101,14 @@ def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Stoc
         mean, best.covariance([len(maps)], best.ids), counted[:, kept], sized[:, kept], maps[-1].step, maps[-1].next_id
     )
     return StochasticMap.of_state(maps[0].spec, state)
+
+
+def turned(counted: IntArray, heading: float) -> IntArray:
+    """The `counted` (6, n) of a map in a frame in which its base has the `heading` [rad]."""
+    out, by = counted.copy(), round(heading / (2.0 * math.pi) * ekf.SECTORS) % ekf.SECTORS
+    low = (1 << (ekf.SECTORS - by)) - 1
+    out[ekf.DIRECTIONS] = ((out[ekf.DIRECTIONS] & low) << by) | (out[ekf.DIRECTIONS] >> (ekf.SECTORS - by))
+    return out
 
 
 def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:
@@ -152,17 +162,17 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
 def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray) -> None:
     """Merge the sightings, size and kind of feature dropped[i] into feature kept[i], both (k,); nothing is deleted.
 
-    The older id stays, sightings add up, sizes are averaged by their variances, and a known kind replaces an unknown
-    one. `counted` and `sized` are those of `MapState`, changed in place.
+    The older id stays, sightings and directions add up, sizes are averaged by their variances, and a known kind
+    replaces an unknown one. `counted` and `sized` are those of `MapState`, changed in place.
     """
-    rows = ekf.IDS, ekf.SEEN, ekf.FIRST_SEEN, ekf.LAST_SEEN, ekf.KINDS
-    ids, seen, first_seen, last_seen, kinds = (counted[row] for row in rows)
+    ids, seen, first_seen, last_seen, kinds, directions = counted
     sizes, variances = sized
     for a, b in zip(kept.tolist(), dropped.tolist()):
         ids[a] = min(ids[a], ids[b])
         seen[a] += seen[b]
         first_seen[a] = min(first_seen[a], first_seen[b])
         last_seen[a] = max(last_seen[a], last_seen[b])
+        directions[a] |= directions[b]
         kinds[a] = kinds[b] if kinds[a] == UNKNOWN_KIND else kinds[a]
         if np.isfinite(sizes[a]) and np.isfinite(sizes[b]):
             total = variances[a] + variances[b]

@@ -59,7 +59,7 @@ class MapState:
 
     mean: Array  # (3 + 2n,) robot [m, m, rad], features [m], in B
     covariance: Array  # (3 + 2n, 3 + 2n)
-    counted: IntArray  # (5, n) rows IDS to KINDS, see `mapping.ekf`
+    counted: IntArray  # (6, n) rows IDS to DIRECTIONS, see `mapping.ekf`
     sized: Array  # (2, n) rows SIZES [m] and VARIANCES [m²], NaN where unknown
     step: int  # number of steps ended so far
     next_id: int  # id of the next feature
@@ -99,7 +99,7 @@ class StochasticMap:
         self.estimate = Estimate()  # shared with predictions, which refuse to be used once it has changed
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # only the upper triangle of P is used
-        self._counted, self._sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
+        self._counted, self._sized = np.zeros((6, capacity), np.int64), np.zeros((2, capacity))
         self._x[:3] = start
         self._P[:3, :3] = covariance
 
@@ -299,7 +299,7 @@ class StochasticMap:
         """
         n = state.counted.shape[1]
         d = 3 + 2 * n
-        if state.counted.shape != (5, n) or state.counted.dtype.kind != "i" or state.sized.shape != (2, n):
+        if state.counted.shape != (6, n) or state.counted.dtype.kind != "i" or state.sized.shape != (2, n):
             raise ValueError(
                 f"counted, sized: {state.counted.dtype} of shape {state.counted.shape}, {state.sized.shape}"
             )
@@ -378,7 +378,7 @@ class StochasticMap:
         for row in range(d):  # memory below the diagonal is never touched, so the system never allocates it
             P[row, row:d] = self._P[row, row:d]
         self._x, self._P = x, P
-        counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
+        counted, sized = np.zeros((6, capacity), np.int64), np.zeros((2, capacity))
         counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]
         self._counted, self._sized = counted, sized
 
@@ -409,7 +409,9 @@ class StochasticMap:
 def check_contents(m: StochasticMap, covariance: Array) -> None:
     """Raise ValueError where ids are not unique and below the next one, a variance is negative, or the covariance that
     was read is not symmetric or has |P_ij| > σ_i σ_j."""
-    ids, variances, diagonal = m.ids, m.size_variances, covariance.diagonal()
+    ids, variances, diagonal, directions = m.ids, m.size_variances, covariance.diagonal(), m.arrays[2][ekf.DIRECTIONS]
+    if ((directions < 0) | (directions >= 1 << ekf.SECTORS)).any():
+        raise ValueError("counted: directions that do not exist")
     if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
         raise ValueError("counted, step, next_id: not those of a map")
     sigmas = np.sqrt(np.maximum(diagonal, 0.0))

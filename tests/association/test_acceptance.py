@@ -154,7 +154,7 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
                 relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
                 expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
         kept = near | (expected <= most)
-        rows = np.stack(p.expected[:4]), np.stack(p.expected[4:6]), *p.expected[6:10]
+        rows = np.stack(p.expected[:4]), np.stack(p.expected[4:7]), *p.expected[7:11]
         count = keep_unambiguous(rows, len(p), m.arrays[1], per_area, most)
         np.testing.assert_array_equal(rows[0][0, :count], features[kept])
         np.testing.assert_array_equal(rows[3][:count], at[kept])

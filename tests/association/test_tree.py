@@ -1,12 +1,11 @@
-"""The tree: its branches by definition, and an unbounded walk of it against the oracle and against branch and bound."""
+"""The tree: its branches by definition, at every node of paths to leaves."""
 
 import numpy as np
 import pytest
 
-from slam_gym.association import jcbb
 from slam_gym.association.compatibility import individual
-from slam_gym.association.tree import branches, decided, extend, hypothesis, interpretation_tree, root
-from slam_gym.types import UNPAIRED, Effort
+from slam_gym.association.tree import branches, decided, extend, interpretation_tree, root
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -24,15 +23,6 @@ def random_leaf(tree, rng):
         rows = legal.rows[legal.legal]
         nodes.append(extend(tree, nodes[-1], int(rng.choice(rows)) if len(rows) and rng.random() < 0.8 else UNPAIRED))
     return nodes
-
-
-def best_leaf(tree, node):
-    """Most pairings, then least D², below `node`, by walking all of it."""
-    if node.level == tree.levels:
-        return node
-    offer = branches(tree, node)
-    following = [best_leaf(tree, extend(tree, node, int(row))) for row in [*offer.rows[offer.legal], UNPAIRED]]
-    return min(following, key=lambda leaf: (-len(leaf.path), leaf.distance))
 
 
 def pairs_of(tree, node):
@@ -57,18 +47,6 @@ def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_l
             longer = [*pairs, (node.level, int(row))]
             assert joint == pytest.approx(oracles.distance(tree.scan, tree.prediction, longer))
             assert legal == (joint < oracles.gate(2 * len(longer), 0.99))
-
-
-@for_seeds(40)
-def test_the_best_leaf_of_an_unbounded_walk_is_the_oracle_s_and_jcbb_s(seed):
-    tree = plant(seed, m=4, n=6)
-    leaf = best_leaf(tree, root(tree))
-    rows, distance = oracles.best_path(tree.scan, tree.prediction, 0.99)
-    assert decided(tree, leaf).tolist() == rows
-    assert leaf.distance == pytest.approx(distance)
-    ours, theirs = hypothesis(tree, leaf, Effort()), jcbb(tree.scan, tree.prediction)
-    assert ours.features.tolist() == theirs.features.tolist()
-    assert (ours.joint_distance, ours.dof) == (pytest.approx(theirs.joint_distance), theirs.dof)
 
 
 def test_illegal_steps_are_refused():

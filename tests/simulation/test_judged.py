@@ -52,16 +52,6 @@ def test_its_function_by_any_other_way_is_told_nothing(associator) -> None:
     assert judged.tally == Tally()
 
 
-def test_a_lie_changes_nothing_but_the_judgement_for_everybody_else() -> None:
-    honest, lied_to = JudgedSlam(Slam(), "jcbb"), JudgedSlam(Slam(), "jcbb")
-    for odometry, scan, truth in LOG:
-        rng = np.random.default_rng(len(honest.identities.decisions))
-        honest.step(odometry, scan, truth)
-        lied_to.step(odometry, scan, Truth(truth.pose + 1.0, rng.permutation(truth.sources)))
-    np.testing.assert_array_equal(honest.slam.map.mean, lied_to.slam.map.mean)
-    assert honest.tally != lied_to.tally
-
-
 # --- what the map is told ---------------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from slam_gym.slam.slam import STILL, Slam, SlamSpec
 from slam_gym.types import Array, IntArray, Odometry, Scan
 from slam_gym.world import corridor
 from tests.oracles.association import gate
-from tests.oracles.geometry import differences
+from tests.slam.places.test_verification import parts
 
 WORLD = corridor.features()
 
@@ -224,20 +224,13 @@ def two_maps(rng: np.random.Generator, shared: int, own: int) -> tuple[Stochasti
     return join(maps[0], maps[1]), pairs
 
 
-def pair_distance(m: StochasticMap, pairs: IntArray) -> float:
-    """D² of F_i = F_j for all pairs (j, i), by the formula: ν = H x, S = H P Hᵀ with H = [… I … −I …]."""
-    H = differences(pairs, m.n)
-    nu = H @ m.positions.ravel()
-    return float(nu @ np.linalg.solve(H @ m.covariance[3:, 3:] @ H.T, nu))
-
-
 def test_features_in_common_are_found_under_a_poor_relation_and_jointly_compatible() -> None:
     rng, right, wrong = np.random.default_rng(1), 0, 0
     for _ in range(40):
         m, true = two_maps(rng, 6, 2)
         found = jointly_compatible(m, np.arange(8), np.arange(8, 16))
         assert len(np.unique(found[:, 0])) == len(np.unique(found[:, 1])) == len(found)
-        assert pair_distance(m, found) < gate(2 * len(found), 0.99)
+        assert parts(m, found)[0] < gate(2 * len(found), 0.99)
         hits = len(set(map(tuple, found.tolist())) & set(map(tuple, true.tolist())))
         right, wrong = right + hits, wrong + len(found) - hits
     assert right > 0.9 * 240 and wrong < 0.15 * right

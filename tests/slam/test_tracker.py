@@ -34,14 +34,7 @@ def doubts(
     return not tracker.believes(scan, expected, hypothesis)
 
 
-def test_features_out_of_view_are_no_reason_to_doubt() -> None:
-    tracker = Tracker(0.3, 3, 4)
-    for _ in range(20):
-        assert not doubts(tracker, prediction(np.full(FEATURES, 0.05)), paired(0))
-    assert not tracker.lost
-
-
-def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is() -> None:
+def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is_doubted() -> None:
     tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
     assert not doubts(tracker, out_of_view, paired(4))
     assert doubts(tracker, out_of_view, paired(0))

@@ -6,8 +6,9 @@ A hypothesis H over a scan has the density (up to a constant)
 
 with λ [1/m²] the density of measurements of nothing in the map (clutter and new features together), P_D the probability
 that the detector reports a feature in view, and v_j the probability that feature j is in view from the pose that the
-hypothesis itself implies; only walls are looked up along the line from the predicted pose. Where visibility is unknown,
-nothing is concluded from features that were not seen: the factors are P_D for paired and 1 for other features.
+hypothesis itself implies, and faces the robot (`mapping.measurement`); walls, and the direction of the robot, are those
+of the predicted pose. Where visibility is unknown, nothing is concluded from features that were not seen: the factors
+are P_D for paired and 1 for other features.
 
 The normalised densities of all hypotheses (`weighed`) yield the marginal probability of every pairing, as in joint
 probabilistic data association: the sum of the weights of the hypotheses that make it.
@@ -205,7 +206,10 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     positions, covariances = updated(joint, slots, beam, part.positions[both])
     leaders = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(leaders) * len(both)
-    seen = visibility(expected, positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2))
+    moved = positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2)
+    facing = np.empty((len(leaders), len(both)))
+    facing[:] = expected.facing[both]
+    seen = visibility(expected, moved[0], moved[1], facing.reshape(width))
     return group, seen.reshape(len(leaders), len(both)), np.arange(len(rows))
 
 

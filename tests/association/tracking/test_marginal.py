@@ -11,6 +11,7 @@ from scipy.special import gammaln, logsumexp
 from slam_gym.association import marginal
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, weigh
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
@@ -99,6 +100,16 @@ def test_experience_goes_with_the_run_and_is_nobody_elses():
     strange = dataclasses.replace(slam.predict(odometry, scan), experience=Experience(0.0, 0.0, np.zeros(3)))
     with pytest.raises(ValueError, match=r"experience\.detections: shape"):
         marginal(scan, strange)
+
+
+def test_of_two_corners_of_a_pillar_the_one_that_faces_the_robot_is_paired():
+    sight, scan = ViewsFrom(2.0 * math.pi, 6.0).arrays, Scan.from_points([[2.0, 0.0]], sigma=0.1)
+    prediction = Prediction.from_gaussian([[2.0, -0.1], [2.0, 0.1]], 0.05 * np.eye(4))
+    for seen, facing in ((0, [1.0, 0.05]), (1, [0.05, 1.0]), (UNPAIRED, [1.0, 1.0])):
+        expected = prediction.expected._replace(sight=sight, facing=np.array(facing))
+        told = dataclasses.replace(prediction, expected=expected)
+        assert marginal(scan, told, cost=3.0).features.tolist() == [seen]
+        assert told.visibility() == pytest.approx([1.0, 1.0])  # what the sensor could see, whatever it faces
 
 
 def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():

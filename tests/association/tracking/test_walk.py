@@ -43,7 +43,9 @@ def walked(scan, prediction, rng, **options):
             pairs.append((i, int(walk.rows[action])))
         walk.take(action)
     assert walk.decided.tolist() == [dict(pairs).get(i, UNPAIRED) for i in range(len(scan))]
-    assert walk.hypothesis().joint_distance == pytest.approx(oracles.distance(scan, prediction, pairs))
+    found = walk.hypothesis()
+    assert found.joint_distance == pytest.approx(oracles.distance(scan, prediction, pairs))
+    assert found.dof == 2 * len(pairs)
 
 
 def legal(scan, prediction, compatible, pairs, i, compatibility):

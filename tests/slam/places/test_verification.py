@@ -15,7 +15,7 @@ def map_of(positions: Array, covariance: Array) -> StochasticMap:
     """A map of features (n, 2) with this covariance (3 + 2n, 3 + 2n)."""
     n = len(positions)
     zeros = np.zeros(n, np.int64)
-    counted, sized = np.stack([np.arange(n), zeros + 5, zeros, zeros, zeros - 1]), np.full((2, n), np.nan)
+    counted, sized = np.stack([np.arange(n), zeros + 5, zeros, zeros, zeros - 1, zeros]), np.full((2, n), np.nan)
     mean = np.append(np.zeros(3), positions.ravel())
     return StochasticMap.of_state(MapSpec(), MapState(mean, covariance, counted, sized, 9, n))
 
