@@ -133,9 +133,9 @@ def _mean_of_means(losses: pd.Series) -> Interval:
 
 
 def markdown(entries: Sequence[Entry]) -> str:
-    """Markdown tables, one for every protocol among the entries."""
+    """Markdown tables, one for every protocol among the entries, in the order of their roles."""
     groups: dict[tuple[Any, ...], list[Entry]] = {}
-    for entry in entries:
+    for entry in sorted(entries, key=lambda entry: list(PARTS).index(entry.protocol["role"])):
         groups.setdefault(entry.shape, []).append(entry)
     return "\n\n".join(_table(group[0].protocol, rows(group)) for group in groups.values())
 

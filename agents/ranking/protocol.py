@@ -25,7 +25,7 @@ from slam_gym.simulation.judged import CEILING
 Parts = dict[str, int]
 """Scenarios and levels of the suite (EXPERIMENT/NUMBER), with the number of worlds of each."""
 
-VERSION = 3
+VERSION = 4
 """Version of the protocol, raised with any change of what follows, of the floors, or of the run of an episode."""
 
 SPLIT = "test"
@@ -41,9 +41,9 @@ _SUITE = [level.id for name, experiment in EXPERIMENTS.items() if name != RELOCA
 _KIDNAPPED = [level.id for level in EXPERIMENTS[RELOCATION].levels]
 
 PARTS: dict[Role, Parts] = {
-    "agent": dict.fromkeys((*_CALM, "drift-1", "drift-2", "drift-3"), 8),
     "associator": dict.fromkeys(_SUITE, 4) | dict.fromkeys(_DRIFT, 6),
     "relocator": dict.fromkeys(_KIDNAPPED, 8) | dict.fromkeys(("kidnapped", "drift-2", "drift-3", "aliased-drift"), 6),
+    "agent": dict.fromkeys((*_CALM, "drift-1", "drift-2", "drift-3"), 8),
 }
 QUICK: dict[Role, Parts] = {
     "agent": {"office-small": 1},

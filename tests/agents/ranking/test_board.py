@@ -18,14 +18,14 @@ from slam_gym.scenarios import get_scenario, world_generator
 from tests.agents import typed
 
 MINE = "tests.agents.ranking.strangers:mine"
-FROZEN = {"agent": "1b2ec0b77459f658", "associator": "8e23668ef0b1332c", "relocator": "fa5f642552504756"}
-"""Hashes of version 3. Another protocol is another version, and old entries are then ranked apart."""
+FROZEN = {"agent": "8d7e246f36be9f5d", "associator": "335f4d3d3a417522", "relocator": "0e34cebb3bb0b98a"}
+"""Hashes of version 4. Another protocol is another version, and old entries are then ranked apart."""
 FLOORS = "97253a68358beb1b"
-"""Of the floors of version 3."""
+"""Of the floors of version 4."""
 
 
 def test_the_protocol_is_what_it_was():
-    assert VERSION == 3 and {role: Protocol(role).about["hash"] for role in PARTS} == FROZEN
+    assert VERSION == 4 and {role: Protocol(role).about["hash"] for role in PARTS} == FROZEN
     assert len({Protocol(role, quick).about["hash"] for role in PARTS for quick in (False, True)}) == 6
 
 
@@ -151,6 +151,13 @@ def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path):
     for folder in no_entries:
         assert sum(line.startswith(f"{folder}: ") for line in told) == 1, folder
     assert len(told) == len(no_entries)
+
+
+def test_tables_come_in_the_order_of_roles_whoever_was_evaluated_first():
+    agent, losses = an_entry("driver", 0.0), pd.Series({("clutter", "clutter/1", FIRST): 0.5})
+    associator = Entry("associator", Protocol("associator").about, losses)
+    shown = markdown([agent, associator])
+    assert shown == markdown([associator, agent]) and shown.startswith("### Associators")
 
 
 def test_names_cannot_break_the_page():
