@@ -67,9 +67,11 @@ def joint(expected: Expected, rows: IntArray) -> Array:
 
 
 @compiled
-def visibility(expected: Expected, positions: Array, covariances: Array, facing: Array) -> Array:
-    """Probability (k,) that features at `positions` (k, 2) [m] in R are in view and, by `facing` (k,), face the robot;
-    (0,) where unknown."""
+def in_view_and_facing(expected: Expected, positions: Array, covariances: Array, facing: Array) -> Array:
+    """Probability (k,) that features at `positions` (k, 2) [m] in R are in view and, by `facing` (k,), face the robot.
+
+    It is a fixed visibility where there is one, and (0,) where it is unknown.
+    """
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
         return expected.visible
     return facing * probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
@@ -205,7 +207,7 @@ class Prediction:
 
     def visibility(self, rows: IntArray | None = None) -> Array | None:
         """Probability (j,) that the features at `rows` (j,), by default all, are in view of the sensor, walls
-        considered; None where unknown."""
+        considered; None where unknown. Whether they face the robot is not considered (`facing`)."""
         known, chosen = self.expected, slice(None) if rows is None else rows
         if not self.has_view:
             return None
@@ -214,7 +216,7 @@ class Prediction:
         return probabilities_in_view(known.positions[chosen], known.covariances[chosen], known.sight, known.pose[:3])
 
     def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
-        """A copy with probabilities (k,) of being in view, for any pose; None: unknown.
+        """A copy with probabilities (k,) of being in view, for any pose, in place of `facing`, too; None: unknown.
 
         Raises ValueError for values that are not probabilities.
         """

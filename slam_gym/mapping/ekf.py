@@ -6,7 +6,8 @@ entries beyond d and below the diagonal are meaningless.
 
 The other properties of features are the columns of two arrays: `counted` (6, ≥ n) of integers, rows IDS to DIRECTIONS,
 and `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown. In DIRECTIONS, bit k of a feature is set
-where a scan from the k-th of `SECTORS` directions has measured it.
+where a scan has measured it while the robot, as estimated then, was in the k-th of `SECTORS` sectors around it, counted
+anticlockwise from the x axis of B. Joining maps turns them, to whole sectors; other corrections of the map do not.
 
 The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ.
 

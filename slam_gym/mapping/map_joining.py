@@ -39,8 +39,9 @@ def join(a: StochasticMap, b: StochasticMap, base: Array | None = None, *, robot
 
     The base of `b` is the robot pose of `a`, or the pose `base` (3,), of uninformative covariance, which `equate` then
     determines. With `robot_of_a`, which leaves no heading to correct, or without right-invariant errors, it must be
-    right to a degree. The robot is that of `b`, or, with `base`, that of `a` if `robot_of_a`; the settings are those of
-    `a`. Neither map is changed. Raises ValueError where both maps use an id.
+    right to a degree. The directions from which features of `b` were seen turn by the heading of this pose. The robot
+    is that of `b`, or, with `base`, that of `a` if `robot_of_a`; the settings are those of `a`. Neither map is changed.
+    Raises ValueError where both maps use an id.
     """
     first, second = a.state, b.state
     common = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
@@ -55,7 +56,7 @@ def join(a: StochasticMap, b: StochasticMap, base: Array | None = None, *, robot
         mean, covariance = mean[entries], covariance[np.ix_(entries, entries)]
     step, next_id = max(first.step, second.step), max(first.next_id, second.next_id)
     heading = float(first.mean[2] if base is None else base[2])  # of the base of b
-    counted = np.concatenate([first.counted, turned(second.counted, heading)], axis=1)
+    counted = np.concatenate([first.counted, directions_turned(second.counted, heading)], axis=1)
     sized = np.concatenate([first.sized, second.sized], axis=1)
     return StochasticMap.of_state(a.spec, MapState(mean, covariance, counted, sized, step, next_id))
 
@@ -87,11 +88,13 @@ def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Stoc
     """`join_all` as one map with full covariance. Time and memory grow with the cube and the square of its size.
 
     A name is the id of the oldest of the features with this name; ids ascend from map to map. Each feature takes over
-    the sightings, size and kind from all maps. The settings are those of the first map, the robot is that of the last.
+    the sightings, directions, size and kind from all maps. The settings are those of the first map, the robot is that
+    of the last.
     """
     best, states = join_all(maps, names), [m.state for m in maps]
     headings = best.poses[:, 2].tolist()
-    counted = np.concatenate([turned(state.counted, heading) for state, heading in zip(states, headings)], axis=1)
+    turned = [directions_turned(state.counted, heading) for state, heading in zip(states, headings)]
+    counted = np.concatenate(turned, axis=1)
     sized = np.concatenate([state.sized for state in states], axis=1)
     ids, named = counted[ekf.IDS], np.concatenate(names)
     kept, dropped = np.flatnonzero(ids == named), np.flatnonzero(ids != named)
@@ -103,7 +106,7 @@ def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Stoc
     return StochasticMap.of_state(maps[0].spec, state)
 
 
-def turned(counted: IntArray, heading: float) -> IntArray:
+def directions_turned(counted: IntArray, heading: float) -> IntArray:
     """The `counted` (6, n) of a map in a frame in which its base has the `heading` [rad]."""
     out, by = counted.copy(), round(heading / (2.0 * math.pi) * ekf.SECTORS) % ekf.SECTORS
     low = (1 << (ekf.SECTORS - by)) - 1
@@ -142,8 +145,9 @@ def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tup
 def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
     """Fuse the features pairs[i, 0] and pairs[i, 1], (k, 2), and return the new map, which keeps the first of each.
 
-    An equality update, after which the second features are deleted; the first take over their sightings, sizes, kinds
-    and older ids. Raises ValueError where a feature does not exist or would be deleted twice, or where S is singular.
+    An equality update, after which the second features are deleted; the first take over their sightings, directions,
+    sizes, kinds and older ids. Raises ValueError where a feature does not exist or would be deleted twice, or where S
+    is singular.
     """
     pairs = np.ascontiguousarray(pairs, dtype=np.int64).reshape(-1, 2)
     kept, dropped = pairs[:, 0], pairs[:, 1]
@@ -160,7 +164,7 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
 
 
 def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray) -> None:
-    """Merge the sightings, size and kind of feature dropped[i] into feature kept[i], both (k,); nothing is deleted.
+    """Merge what is known of feature dropped[i] into feature kept[i], both (k,); nothing is deleted.
 
     The older id stays, sightings and directions add up, sizes are averaged by their variances, and a known kind
     replaces an unknown one. `counted` and `sized` are those of `MapState`, changed in place.

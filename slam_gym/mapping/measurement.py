@@ -17,11 +17,12 @@ If only the heading is uncertain, ν = −δθ J h: the mean is h shortened by �
 covariance, the first terms of the moments of a point rotated by a Gaussian angle. A heading error that all features
 share has no such effect.
 
-**A feature faces the robot** where it is seen from the robot's direction. A corner is hidden by the walls that form it
-from a quarter of all directions, or from three; other things that stand near hide it from more. Of features mapped long
-ago and not hidden by known walls, scans from up to 10° beside a direction from which they were seen show about half,
-from 40° a sixth, and from more than 60° one in twenty (`loop`, `drift-2` and a floor of 200 m, train worlds). ORB-SLAM
-searches map points only within 60° of their mean viewing direction for the same reason (Mur-Artal et al. 2015).
+**A feature faces the robot** if it is visible from the robot's direction. The walls that form a corner hide it from a
+quarter of all directions, or from three quarters if it points inwards; what stands near it hides it from more. Of
+features mapped long ago and not hidden by known walls, scans from up to 10° beside a direction from which they were
+seen show about half, from 40° a sixth, and from more than 60° one in twenty (`loop`, `drift-2` and a floor of 200 m,
+train worlds). `facing` lies somewhat above these fractions. ORB-SLAM searches map points only within 60° of their mean
+viewing direction for the same reason (Mur-Artal et al. 2015).
 """
 
 import math
@@ -36,7 +37,7 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 from slam_gym.validation import check_measurements
 
 _HIDDEN = math.radians(25.0)  # angle beside a direction from which a feature was seen at which 1/e of them are visible
-_LEAST_FACING = 0.03
+_LEAST_FACING = 0.03  # of features that are not paired; of a paired one, `hypotheses.UNSEEN` is the least
 
 RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (3, n): sizes, variances, `facing`; near (n,), positions (n, 2),
@@ -143,13 +144,14 @@ def foresee(
 def facing(x: Array, P: Array, feature: int, directions: int) -> float:
     """The probability that a feature which no known wall hides is visible from where the robot is.
 
-    It is exp(−γ / 25°), at least 0.03, with γ the angle between the robot's direction and the nearest of `directions`
-    from which the feature was seen, less the standard deviation of the former; 1 where none of them is known.
+    It is exp(−γ / 25°), at least 0.03, with γ the angle, in whole sectors, between the robot's direction and the
+    nearest of `directions` from which the feature was seen, less the standard deviation of the former. It is 1 where
+    none of them is known.
     """
     f, sector, sectors = 3 + 2 * feature, ekf.sector_of(x, feature), 0
-    while directions != 0 and not (
-        directions >> (sector + sectors) % ekf.SECTORS & 1 or directions >> (sector - sectors) % ekf.SECTORS & 1
-    ):
+    while directions != 0 and sectors <= ekf.SECTORS // 2:
+        if directions >> (sector + sectors) % ekf.SECTORS & 1 or directions >> (sector - sectors) % ekf.SECTORS & 1:
+            break
         sectors += 1
     if sectors == 0:
         return 1.0

@@ -295,7 +295,8 @@ class StochasticMap:
     def of_state(cls, spec: MapSpec, state: MapState) -> StochasticMap:
         """The map with the settings `spec` and the contents `state`.
 
-        Raises ValueError where lengths do not agree, numbers are not finite or the robot's covariance is invalid.
+        Raises ValueError where lengths do not agree, numbers are not finite, directions do not exist, or the robot's
+        covariance is invalid.
         """
         n = state.counted.shape[1]
         d = 3 + 2 * n
@@ -303,6 +304,8 @@ class StochasticMap:
             raise ValueError(
                 f"counted, sized: {state.counted.dtype} of shape {state.counted.shape}, {state.sized.shape}"
             )
+        if (state.counted[ekf.DIRECTIONS].astype(np.int64) >> ekf.SECTORS).any():
+            raise ValueError("counted: directions that do not exist")
         if state.mean.shape != (d,) or state.covariance.shape != (d, d):
             raise ValueError(f"mean, covariance: shapes {state.mean.shape}, {state.covariance.shape} for {n} features")
         if not (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()):
@@ -409,9 +412,7 @@ class StochasticMap:
 def check_contents(m: StochasticMap, covariance: Array) -> None:
     """Raise ValueError where ids are not unique and below the next one, a variance is negative, or the covariance that
     was read is not symmetric or has |P_ij| > σ_i σ_j."""
-    ids, variances, diagonal, directions = m.ids, m.size_variances, covariance.diagonal(), m.arrays[2][ekf.DIRECTIONS]
-    if ((directions < 0) | (directions >= 1 << ekf.SECTORS)).any():
-        raise ValueError("counted: directions that do not exist")
+    ids, variances, diagonal = m.ids, m.size_variances, covariance.diagonal()
     if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
         raise ValueError("counted, step, next_id: not those of a map")
     sigmas = np.sqrt(np.maximum(diagonal, 0.0))

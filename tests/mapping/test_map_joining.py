@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, transform, wrap_angle
-from slam_gym.mapping.map_joining import equality_update, equate, join, join_all, joined_estimate
+from slam_gym.mapping import ekf
+from slam_gym.mapping.map_joining import (
+    directions_turned,
+    equality_update,
+    equate,
+    join,
+    join_all,
+    joined_estimate,
+)
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.types import UNKNOWN_KIND, Array, Odometry, Scan
@@ -199,10 +207,22 @@ def test_what_is_known_of_a_duplicate_goes_to_the_older_feature() -> None:
     np.testing.assert_allclose(m.sizes, [(0.5 / 0.01 + 0.7 / 0.03) / (1 / 0.01 + 1 / 0.03), 0.4, 0.3, 0.6])
     np.testing.assert_allclose(m.size_variances, [0.0075, 0.05, 0.02, 0.01])
     np.testing.assert_array_equal(m.kinds, [3, 1, 2, UNKNOWN_KIND])
+    before, after = join(a, b).state.counted[ekf.DIRECTIONS], m.state.counted[ekf.DIRECTIONS]
+    np.testing.assert_array_equal(after, [before[0] | before[3], before[1] | before[4], before[2], before[5]])
     np.testing.assert_allclose(m.positions, [[2, 0], [2, 1], [2, 2], [10, 9]], atol=1e-9)
     assert m.step == join(b, a).step == max(a.step, b.step) == 2
     m.add(sized([[1, 1]], [1.0], [1.0], [0]), np.array([0]))
     assert m.ids[-1] == 6  # given by nobody before
+
+
+@pytest.mark.parametrize("sector", [0, 1, 30, 58, 59])
+def test_directions_turn_by_whole_sectors(sector: int) -> None:
+    for by in range(-120, 121):
+        counted = np.full((6, 2), 7)
+        counted[ekf.DIRECTIONS] = 1 << sector, 0
+        turned = directions_turned(counted, math.radians(6.0 * by))
+        counted[ekf.DIRECTIONS, 0] = 1 << (sector + by) % 60
+        np.testing.assert_array_equal(turned, counted)
 
 
 def test_the_maps_that_are_joined_stay_as_they_were() -> None:

@@ -26,7 +26,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import Expected, Prediction, visibility
+from slam_gym.association.prediction import Expected, Prediction, in_view_and_facing
 from slam_gym.association.tracking.beam import Beam, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
@@ -41,7 +41,7 @@ MOST_CANDIDATES = 1_000  # pairings of a scan that are considered
 JOINT_TESTS = 300_000  # for a scan
 _DEEP = 32  # pairings, up to which all joint tests are taken to cost the same
 MEMORY = 1 << 27  # [bytes] for the pairings of all hypotheses, each conditioned on those before it
-_INVISIBLE = 1e-3  # features less visible from the predicted pose are not looked up from other poses
+_INVISIBLE = 1e-3  # features less likely to be seen from the predicted pose are not looked up from others
 _MIN_AREA = 1.0  # [m²] least area of a scan
 
 
@@ -209,7 +209,7 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     moved = positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2)
     facing = np.empty((len(leaders), len(both)))
     facing[:] = expected.facing[both]
-    seen = visibility(expected, moved[0], moved[1], facing.reshape(width))
+    seen = in_view_and_facing(expected, moved[0], moved[1], facing.reshape(width))
     return group, seen.reshape(len(leaders), len(both)), np.arange(len(rows))
 
 

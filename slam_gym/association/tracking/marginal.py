@@ -30,7 +30,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import Candidates, gate_pairings
-from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, visibility
+from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, in_view_and_facing
 from slam_gym.association.tracking import hypotheses
 from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
@@ -233,7 +233,7 @@ def headings_of(
 def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
     """The problem of searching a narrow heading."""
     part, candidates = heading.part, heading.candidates
-    visible = visibility(expected, part.positions, part.covariances, expected.facing)
+    visible = in_view_and_facing(expected, part.positions, part.covariances, expected.facing)
     joint = joint_in(expected, part, candidates.rows)
     pairings = Pairings(
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
