@@ -67,14 +67,14 @@ def joint(expected: Expected, rows: IntArray) -> Array:
 
 
 @compiled
-def in_view_and_facing(expected: Expected, positions: Array, covariances: Array, facing: Array) -> Array:
-    """Probability (k,) that features at `positions` (k, 2) [m] in R are in view and, by `facing` (k,), face the robot.
+def in_view_and_facing(expected: Expected, positions: Array, covariances: Array) -> Array:
+    """Probability (k,) that the features, at `positions` (k, 2) [m] in R, are in view and face the robot.
 
     It is a fixed visibility where there is one, and (0,) where it is unknown.
     """
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
         return expected.visible
-    return facing * probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
+    return expected.facing * probabilities_in_view(positions, covariances, expected.sight, expected.pose[:3])
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,12 +149,11 @@ def facing(x: Array, P: Array, feature: int, directions: int) -> float:
     none of them is known.
     """
     f, sector, sectors = 3 + 2 * feature, ekf.sector_of(x, feature), 0
-    while directions != 0 and sectors <= ekf.SECTORS // 2:
+    if directions == 0 or directions >> sector & 1:
+        return 1.0
+    for sectors in range(1, ekf.SECTORS // 2 + 1):
         if directions >> (sector + sectors) % ekf.SECTORS & 1 or directions >> (sector - sectors) % ekf.SECTORS & 1:
             break
-        sectors += 1
-    if sectors == 0:
-        return 1.0
     dx, dy = x[0] - x[f], x[1] - x[f + 1]
     xx, yy = P[0, 0] + P[f, f] - 2.0 * P[0, f], P[1, 1] + P[f + 1, f + 1] - 2.0 * P[1, f + 1]
     xy = P[0, 1] + P[f, f + 1] - P[0, f + 1] - P[1, f]

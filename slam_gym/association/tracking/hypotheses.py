@@ -26,12 +26,13 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import Expected, Prediction, in_view_and_facing
+from slam_gym.association.prediction import Expected, Prediction
 from slam_gym.association.tracking.beam import Beam, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
 from slam_gym.association.tracking.near_first import Offer
 from slam_gym.association.tree import Node, Pairings, condition, is_local, pivot_of, read, root_of, squared
+from slam_gym.navigation.visibility import probabilities_in_view
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from slam_gym.validation import check_count
 
@@ -206,11 +207,9 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     positions, covariances = updated(joint, slots, beam, part.positions[both])
     leaders = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(leaders) * len(both)
-    moved = positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2)
-    facing = np.empty((len(leaders), len(both)))
-    facing[:] = expected.facing[both]
-    seen = in_view_and_facing(expected, moved[0], moved[1], facing.reshape(width))
-    return group, seen.reshape(len(leaders), len(both)), np.arange(len(rows))
+    means, spreads = positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2)
+    in_view = probabilities_in_view(means, spreads, expected.sight, expected.pose[:3])
+    return group, expected.facing[both] * in_view.reshape(len(leaders), len(both)), np.arange(len(rows))
 
 
 @compiled

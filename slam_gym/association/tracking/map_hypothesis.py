@@ -64,7 +64,7 @@ def _decide(
     posterior = 0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)
     positions, covariances = expected.positions, expected.covariances
     part = Part(0.0, expected.pose[3], positions, covariances, 0.0, expected.across, np.empty((0, 0)))  # all headings
-    visible = in_view_and_facing(expected, positions, covariances, expected.facing)
+    visible = in_view_and_facing(expected, positions, covariances)
     for search in range(1 if len(expected.counts) == 0 or expected.near.all() else 2):
         offered = offer(scan, prediction, rows, search == 0, limits.gate, limits.most)
         tests = spent.individual_tests + offered.tests

@@ -233,7 +233,7 @@ def headings_of(
 def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
     """The problem of searching a narrow heading."""
     part, candidates = heading.part, heading.candidates
-    visible = in_view_and_facing(expected, part.positions, part.covariances, expected.facing)
+    visible = in_view_and_facing(expected, part.positions, part.covariances)
     joint = joint_in(expected, part, candidates.rows)
     pairings = Pairings(
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
