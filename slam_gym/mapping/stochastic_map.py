@@ -28,6 +28,7 @@ from slam_gym.validation import Checked, indices
 
 _LARGEST_FILE = 1 << 30  # [bytes] of a map
 _ROUNDING = 1e-6  # of a correlation
+_VAGUEST = 1e6  # [m, rad] σ of a pose that is placed: an update of a vaguer one would lose its digits
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
 
 
@@ -430,5 +431,7 @@ def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
         raise ValueError(f"pose: expected 3 finite numbers, got {x.tolist()}")
     if P.shape != (3, 3) or not is_covariance(P):
         raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
+    if P.max() > _VAGUEST**2:
+        raise ValueError(f"pose_covariance: a σ above {_VAGUEST:g}: {P.tolist()}")
     x[2] = wrap_angle(x[2])
     return x, P

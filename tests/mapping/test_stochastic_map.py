@@ -142,6 +142,8 @@ def test_a_robot_that_was_placed_knows_nothing_of_the_features_and_leaves_them_a
     np.testing.assert_array_equal(slam_map.covariance[:3, 3:], 0.0)
     np.testing.assert_array_equal(slam_map.mean[3:], features)
     np.testing.assert_array_equal(slam_map.covariance[3:, 3:], P)
+    with pytest.raises(ValueError, match=r"pose_covariance: a σ above 1e\+06"):
+        slam_map.place([0.0, 0.0, 0.0], 1e300 * np.eye(3))
 
 
 # --- how features lie to each other -----------------------------------------------------------------------------------
