@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from agents.evaluation.pipeline import run_all
 from agents.learning.cloning import figure, fit
 from agents.suite import problems
 from slam_gym.association import resolve_associator
@@ -45,22 +46,26 @@ WIDTH, MARGIN = 150, 16.0  # of the search; wider than in use, since the network
 _MOST = 80  # hypotheses of a scan that are kept
 _EASY = 0.15  # fraction of the unambiguous scans that are kept; the weight of each is divided by it
 _DOUBT = 0.02  # a scan is ambiguous where the best hypothesis has a smaller probability than 1 − this
-_MOST_TICKS = 500
 
 LEVELS = tuple(level.id for e in EXPERIMENTS.values() if e.name != RELOCATION for level in e.levels)
-DRIVES = (
-    "office", "aliased", "hall", "crowd", "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift",
-    "sparse", "loop",
-)  # fmt: skip
+DRIVES = {
+    "office": 6, "aliased": 6, "hall": 8, "crowd": 6, "sparse": 6, "building": 5, "drift-1": 12, "drift-2": 12,
+    "drift-3": 12, "aliased-drift": 12, "hall-drift": 24, "crowd-drift": 12, "loop": 40,
+}  # fmt: skip
+"""The number of worlds of each scenario. Closures are rare, and `loop` has most of those that are hard."""
+
+MAKERS = ("marginal", "map_hypothesis")
+"""The associators whose maps the drives and logs are associated with, by turns; they contain different mistakes."""
+
 LOGS = ("victoria_park/5", "victoria_park/10", "mrclam/1", "mrclam/2")  # every 5th or 10th scan; number of the robot
 
-HIDDEN = ((), ("sizes", "not kinds"), ("sizes",), ("sizes", "views", "past"))
-"""What is hidden in some worlds, so that the network learns what a pairing is worth when less is known about it."""
+HIDDEN = (("sizes", "not kinds"), ("sizes",), ("sizes", "views", "past"))
+"""What is hidden in every fourth world of a level, by turns, so that the network learns what a pairing is worth when
+less is known about it."""
 
 SHARES = {"level": 0.5, "drive": 0.45, "log": 0.05}
 """The share of each kind of source in the loss, whatever its number of scans."""
 
-_WHOLE = 12  # worlds of each level in which nothing is hidden; in the others, the entries of HIDDEN take turns
 _HIDDEN_COUNT = 4.0  # weight of a scan of which something is hidden: they are few, but many logs are like them
 _ENOUGH = 16.0  # limit on log odds in training
 _LEAST = 1e-4  # limit on probabilities: a measurement for which every hypothesis is wrong has no gradient
@@ -87,8 +92,8 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("inputs", "measured", "rows", "log_densities")
     )
-    sources, labelled = truth.sources, truth.sources != UNLABELLED
-    right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
+    labelled = truth.sources != UNLABELLED
+    right = prediction.features[rows] == truth.right[measured]  # of copies of a feature only the oldest
     unpaired = labelled & (truth.right == UNPAIRED)
     offered = np.isin(np.arange(len(scan)), measured[right])  # whether the right pairing can be chosen
     known = unpaired | (labelled & offered)
@@ -133,7 +138,7 @@ class Source:
     kind: str  # level, drive or log
     name: str
     world: int
-    associator: str = "marginal"  # that makes the map of a drive or a log
+    associator: str = MAKERS[0]  # that makes the map of a drive or a log
     hidden: tuple[str, ...] = ()
 
     def scans(self, count: int = 12) -> Iterator[Decisions]:
@@ -159,9 +164,7 @@ class Source:
     def _watched(self, run: AssociationRun, rng: np.random.Generator) -> Iterator[Decisions]:
         """The examples of a drive or a log: all ambiguous scans, and a fraction `_EASY` of the others."""
         associate = resolve_associator(self.associator)
-        for _ in range(min(run.length, _MOST_TICKS)):
-            if run.over:
-                return
+        while not run.over:
             run.next_scan()
             if len(run.scan) and len(run.prediction):
                 truth = RightAnswers.of(run.truth, run.identities.majority_of(run.slam.map.ids))
@@ -206,15 +209,18 @@ def _doubtful(d: Decisions) -> bool:
 def drives_and_logs() -> list[Source]:
     """The sources besides the levels of the suite."""
     hidden = (
-        (("sizes",), 6, ("office", "drift-2", "hall", "crowd-drift")),
-        (("sizes", "views", "past"), 7, ("crowd", "drift-3", "aliased-drift", "loop")),
-        (("views",), 8, ("office", "crowd", "drift-1", "drift-2", "aliased", "hall-drift", "sparse")),
-        (("views", "sizes"), 9, ("office", "drift-1", "drift-3", "hall", "sparse", "loop")),
-    )  # what is hidden, the world, the scenarios
-    found = [Source("drive", name, k) for k in range(6) for name in DRIVES]
-    found += [Source("drive", name, k, hidden=what) for what, k, names in hidden for name in names]
-    makers = ("map_hypothesis", "marginal")  # their maps contain different mistakes
-    return found + [Source("log", name, k, maker) for k, maker in enumerate(makers) for name in LOGS]
+        (("sizes",), ("office", "drift-2", "hall", "crowd-drift")),
+        (("sizes", "views", "past"), ("crowd", "drift-3", "aliased-drift", "loop")),
+        (("views",), ("office", "crowd", "drift-1", "drift-2", "aliased", "hall-drift", "sparse")),
+        (("views", "sizes"), ("office", "drift-1", "drift-3", "hall", "sparse", "loop")),
+    )  # what is hidden, the scenarios
+    found = [
+        Source("drive", name, k, MAKERS[k % len(MAKERS)]) for name, worlds in DRIVES.items() for k in range(worlds)
+    ]
+    found += [
+        Source("drive", name, DRIVES[name] + k, hidden=what) for k, (what, names) in enumerate(hidden) for name in names
+    ]
+    return found + [Source("log", name, k, maker) for k, maker in enumerate(MAKERS) for name in LOGS]
 
 
 @dataclass(frozen=True)
@@ -222,8 +228,8 @@ class AssociatorPlan:
     """The sources of the examples, and the training of the network."""
 
     levels: Sequence[str] = LEVELS
-    worlds: int = 16  # of each level
-    held_out: int = 4  # worlds of each level, after those
+    worlds: int = 68  # of each level
+    held_out: int = 12  # worlds of each level, after those
     further: Sequence[Source] = field(default_factory=drives_and_logs)
     seeds: Sequence[int] = (0, 1)  # the network with the lowest loss on held-out worlds is kept
     hidden_numbers: int = 24
@@ -267,26 +273,31 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 def sources(plan: AssociatorPlan) -> tuple[list[Source], list[Source]]:
     """The sources to train on, and those held out."""
     last = plan.worlds + plan.held_out
-    hidden = [() if k < _WHOLE else HIDDEN[k % len(HIDDEN)] for k in range(last)]
+    hidden = [HIDDEN[k // 4 % len(HIDDEN)] if k % 4 == 3 else () for k in range(last)]
     found = [Source("level", name, k, hidden=hidden[k]) for k in range(last) for name in plan.levels]
     trained_on = plan.worlds * len(plan.levels)
     return [*found[:trained_on], *plan.further], found[trained_on:]
 
 
 def examples_of(runs: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]:
-    """All examples of some sources; each kind of source has its share of the weight, and the mean weight is 1."""
+    """All examples of some sources, made by all cores; each kind of source has its share of the weight, and the mean
+    weight is 1."""
+    made = dict(run_all([partial(_numbered, k, source) for k, source in enumerate(runs)], None))
     kinds: dict[str, list[Decisions]] = {}
-    for source in runs:
-        began, scans = time.perf_counter(), list(source.scans())
-        say(f"{source.name}, world {source.world}: {len(scans)} scans in {time.perf_counter() - began:.1f} s")
+    for k, source in enumerate(runs):
         factor = _HIDDEN_COUNT if source.hidden else 1.0
-        kinds.setdefault(source.kind, []).extend(d._replace(weight=d.weight * factor) for d in scans)
+        kinds.setdefault(source.kind, []).extend(d._replace(weight=d.weight * factor) for d in made.pop(k))
+    say(", ".join(f"{len(scans)} scans of {kind}s" for kind, scans in kinds.items()))
     count, shared = sum(map(len, kinds.values())), sum(SHARES[kind] for kind in kinds)
     weighted: list[Decisions] = []
     for kind, scans in kinds.items():
         factor = SHARES[kind] / shared * count / max(sum(d.weight for d in scans), 1e-9)
         weighted += [d._replace(weight=d.weight * factor) for d in scans]
     return weighted
+
+
+def _numbered(number: int, source: Source) -> tuple[int, list[Decisions]]:
+    return number, list(source.scans())
 
 
 # -- the network of `slam_gym.association.tracking.network`, on tensors ------------------------------------------------

@@ -30,7 +30,7 @@ from slam_gym.association.tree import Pairings, innovation_of, squared
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, ScanArrays
 from slam_gym.weights import cached, load
 
-VERSION = 1
+VERSION = 2
 INPUTS = (
     "size: log N(a_i − a_j; 0, s²) − log of one in a metre, not below −6; 0 where one is unknown",
     "size: whether both are known",
@@ -46,13 +46,14 @@ INPUTS = (
     "measurement: log of 1 + range [m]",
     "measurement: log of the distance to the next one [m]",
     "feature: log of the distance to the next one [m]",
-    "feature: probability that it is in view, .5 where nobody can tell",
+    "feature: probability that it is in view and faces the robot, .5 where nobody can tell",
+    "feature: probability that it faces the robot, 1 where nobody can tell",
     "feature: log of 1 + its age [steps]",
     "feature: log of its sightings, 0 where nobody can tell",
     "feature: whether it is near",
     "scan: log of 1 + its measurements",
     "scan: fraction of measurements without a pairing",
-    "scan: log of measurements to features in view",
+    "scan: log of measurements to features in view that face the robot",
     "scan: whether anybody can tell what is in view",
     "scan: σ of the heading [rad]",
     "scan: log of √det of the predicted features, the mean [m²]",
@@ -162,6 +163,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
         by_feature[pairings.slots[c], 1] += weight[c]
     measurement_gaps, feature_gaps = _nearest(points), _nearest(part.positions)
     of_scan, spread, unmatched = np.empty(8), 0.0, 0
+    facing_known = len(visible) > 0 and len(expected.visible) == 0
     for i in range(m):
         unmatched += by_measurement[i, 0] == 0.0
     for P in part.covariances:
@@ -180,10 +182,11 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
         row[11] = math.log1p(math.hypot(points[i, 0], points[i, 1]))
         row[12], row[13] = measurement_gaps[i], feature_gaps[j]
         row[14] = visible[j] if len(visible) > 0 else 0.5
-        row[15] = math.log1p(expected.ages[j])
-        row[16] = math.log(max(expected.sightings[j], 1))
-        row[17] = 1.0 if expected.near[j] else 0.0
-        row[18:] = of_scan
+        row[15] = expected.facing[j] if facing_known else 1.0
+        row[16] = math.log1p(expected.ages[j])
+        row[17] = math.log(max(expected.sightings[j], 1))
+        row[18] = 1.0 if expected.near[j] else 0.0
+        row[19:] = of_scan
     return out
 
 

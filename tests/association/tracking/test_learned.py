@@ -1,6 +1,7 @@
 """What the learned associator does beyond `marginal`, and what it makes of weights."""
 
 import dataclasses
+import math
 import os
 
 import numpy as np
@@ -12,6 +13,7 @@ from slam_gym.association.tracking import ppo as ppo_weights
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.marginal import examples, weigh
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, SHAPES, Network, load_network, log_odds, network_of
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Scan
 from slam_gym.weights import load, write
 from tests.oracles import association as oracles
@@ -71,6 +73,18 @@ def test_where_places_are_all_there_is_marginal_decides_alone(told):
         own, other = learned_associator(scan, prediction), marginal(scan, prediction)
         differ += not np.array_equal(own.posterior.unpaired, other.posterior.unpaired)
     assert (differ == 0) == (told == "nothing")
+
+
+def test_whether_features_face_the_robot_is_an_input_where_the_view_is_known():
+    (scan, prediction), facing = problem(1), np.linspace(0.1, 1.0, 10)
+    seen = prediction.expected._replace(sight=ViewsFrom(2.0 * math.pi, 6.0).arrays, facing=facing)
+    seen = dataclasses.replace(prediction, expected=seen)
+    column = INPUTS.index("feature: probability that it faces the robot, 1 where nobody can tell")
+    for told, expected in (
+        (seen, facing), (seen.with_visibility(None), np.ones(10)), (seen.with_visibility(np.full(10, 0.5)), np.ones(10))
+    ):  # fmt: skip
+        (example,) = examples(scan, told, width=100, margin=12.0)
+        assert example.inputs[:, column] == pytest.approx(expected[example.rows])
 
 
 def test_a_size_without_its_variance_is_no_size():
