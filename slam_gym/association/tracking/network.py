@@ -7,7 +7,7 @@ measurement, or of a feature,
     log odds_c = wᵀx_c + vᵀ max(0, B g_c + b) + w₀.
 
 So a pairing is judged beside its rivals; no other form of attention was needed. Inputs farther than ±2.5 from the
-centre lie outside the training data: each such input halves the log odds, so that the model of `marginal` decides where
+centre are rare in the training data: each such input halves the log odds, so that the model of `marginal` decides where
 the situation is unfamiliar. The network is evaluated by plain loops over plain arrays, without a learning library.
 
 All inputs come from the scan and the prediction. `INPUTS` lists those of one pairing in order. Any change of the list,

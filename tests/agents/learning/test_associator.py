@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.learning import associator
-from slam_gym.association.tracking.marginal import weigh
+from slam_gym.association.tracking.marginal import examples, weigh
 from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.judged import RightAnswers
@@ -85,9 +85,9 @@ def test_of_the_copies_of_a_feature_only_the_oldest_is_right():
 def test_no_world_is_both_trained_on_and_held_out():
     train, held_out = associator.sources(associator.AssociatorPlan())
     assert len(set(train)) == len(train)
-    assert not {(s.name, s.world) for s in train} & {(s.name, s.world) for s in held_out}
+    assert not {s.world for s in train} & {s.world for s in held_out}
     assert {s.hidden for s in held_out} == {(), *associator.HIDDEN}
-    assert {s.hidden for s in train} == {(), *associator.HIDDEN, ("views",), ("views", "sizes")}
+    assert {s.hidden for s in train} == {(), *associator.HIDDEN, ("views",), ("views", "past")}
     assert {s.kind for s in train} == set(associator.SHARES) and {s.kind for s in held_out} == {"level"}
     assert len(associator.AssociatorPlan().levels) == 35 and all(
         get_scenario(s.name).name == s.name for s in train if s.kind == "drive"
@@ -96,7 +96,7 @@ def test_no_world_is_both_trained_on_and_held_out():
 
 def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
     plain = list(associator.Source("level", "closure/2", 0).scans(count=3))
-    kinds = list(associator.Source("level", "closure/2", 0, hidden=("sizes", "not kinds")).scans(count=3))
+    kinds = list(associator.Source("level", "closure/2", 0, hidden=("sizes", "kinds told")).scans(count=3))
     assert len(plain) == len(kinds) == 3
     same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
     assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
@@ -106,8 +106,15 @@ def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
 # -- what is learned ---------------------------------------------------------------------------------------------------
 
 
-def test_the_network_is_that_of_the_package():
-    scans = [answered(seed)[3] for seed in range(4)]
+@pytest.mark.parametrize("heading", [0.0, 0.4])
+def test_the_network_is_that_of_the_package_where_headings_are_searched_one_by_one(heading):
+    answers = [answered(seed, heading) for seed in range(4)]
+    parts = [
+        part for scan, prediction, *_ in answers
+        for part in examples(scan, prediction, width=associator.WIDTH, margin=associator.MARGIN)
+    ]  # fmt: skip
+    assert (len(parts) > len(answers)) == (heading > 0.0)
+    scans = [decisions for *_, decisions in answers]
     network, batch = associator.untrained(scans, hidden=6), associator.Batch.of(scans)
     rng = np.random.default_rng(0)
     network = network._replace(**{name: rng.normal(size=part.shape) for name, part in network._asdict().items()
@@ -116,8 +123,8 @@ def test_the_network_is_that_of_the_package():
     limited = associator.odds_of(associator.tensors(network), batch, most=16.0).numpy()
     assert np.abs(expected).max() > 16.0 >= np.abs(limited).max()
     shipped = network_of(network._asdict())
-    found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy(), batch.slots.numpy())
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+    found = [log_odds(shipped, part.inputs, part.measured, part.rows) for part in parts]
+    np.testing.assert_allclose(np.concatenate(found), expected, rtol=1e-3, atol=1e-2)
 
 
 def test_training_starts_at_the_model_gets_better_and_is_the_same_for_one_seed():
