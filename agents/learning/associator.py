@@ -70,7 +70,7 @@ SHARES = {"level": 0.5, "drive": 0.45, "log": 0.05}
 
 _HIDDEN_COUNT = 4.0  # weight of a scan of which something is hidden: many logs are like them
 _ENOUGH = 16.0  # limit on log odds in training
-_LEAST = 1e-4  # limit on probabilities
+_LEAST = 1e-4  # limit on the probabilities in the loss
 _BATCH = 64  # scans
 
 
@@ -78,7 +78,7 @@ class Decisions(NamedTuple):
     """The example made of one scan: c pairings, b hypotheses, m measurements."""
 
     inputs: NDArray[np.float32]  # (c, inputs)
-    measured: IntArray  # (c,) the measurement, numbered apart in each narrow heading, as in `weigh`
+    measured: IntArray  # (c,) the measurement, numbered separately in each narrow heading
     slots: IntArray  # (c,) the feature, likewise
     hypotheses: IntArray  # (b, m) the pairing of each measurement, or UNPAIRED
     scores: NDArray[np.float32]  # (b,) log densities by the model, without the network
