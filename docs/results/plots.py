@@ -26,7 +26,7 @@ THEMES = {
 NAMES = {
     "nearest_neighbour": "nearest neighbour", "global_nearest_neighbour": "global nearest neighbour",
     "singles": "SINGLES", "one_point_ransac": "1-point RANSAC", "jcbb": "JCBB", "ipjc": "IPJC",
-    "true_association": "true association", "map_hypothesis": "map hypothesis",
+    "true_association": "true association", "map_hypothesis": "MAP hypothesis",
     "nearest_frontier": "nearest frontier", "information_gain": "information gain", "lawnmower": "lawn-mower",
 }  # fmt: skip
 
@@ -83,7 +83,7 @@ def cost(theme: dict[str, str]) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
     left.loglog(step.features, step.one_map, "o-", color=theme["red"], label="one map")
     left.loglog(step.features, step.local_maps, "o-", color=theme["blue"], label="local maps")
-    left.set(title="Time of a SLAM step", xlabel="features in the map", ylabel="one map of 500 features: 1")
+    left.set(title="Time of a SLAM step", xlabel="features in the map", ylabel="time (one map of 500 features: 1)")
     sizes = ["50", "800", "3200", "12800"]
     for name, colour in (("everything", "red"), ("two hops", "grey"), ("covisibility", "blue")):
         right.loglog([int(size) for size in sizes], locality.loc[name, sizes], "o-", color=theme[colour], label=name)
@@ -149,9 +149,10 @@ def training(theme: dict[str, str]) -> Figure:
     for who, colour in colours.items():
         level = data[data.who == who].held_out_return.iloc[0]
         axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
-        shift = {"marginal": -0.04, "learned": 0.04}.get(who, 0.0)  # so that names do not overlap
+        # so that names do not overlap
+        shift = {"true_association": 0.05, "marginal": -0.04, "learned": -0.04}.get(who, 0.0)
         axes.text(2.03, level + shift, NAMES.get(who, who), va="center")
-    axes.set(xlabel="million decisions", ylabel="score (1: the truth, 0: refuses all)")
+    axes.set(xlabel="million decisions", ylabel="score or return (0: refuses all)")
     axes.set(xlim=(0, 2.0), ylim=(-1.1, 1.05))
     minutes = axes.secondary_xaxis("top", (lambda x: x * MINUTES, lambda x: x / MINUTES))
     minutes.set_xlabel("minutes of one core")
