@@ -3,9 +3,9 @@
 A surveyed field (`slam_gym.simulation.surveyed_field`) is a map with correlated errors. The robot is lost in it,
 and scans once: m measurements, a quarter spurious, without sizes and kinds.
 
-Tables: sizes of the localities, hypotheses of the unpruned tree and losses of each locality; effort of GCBB (also with
-measurements ordered from the centre of the scan outwards) and of random sampling (RS) against n, with exponents;
-answers by the required number of pairings, inside the map and outside. A pairing test is a unary or a binary one.
+Tables: sizes of the localities, hypotheses of the unpruned tree and losses of each locality; effort of GCBB and of
+random sampling (RS) against n, with exponents; answers by the required number of pairings, inside the map and outside.
+A pairing test is a unary or a binary one.
 
     python benchmarks/locality.py        # ten minutes
 """
@@ -32,11 +32,7 @@ LARGEST = 3_200  # features of a map that is searched without a locality
 
 def searches(*, rivals: bool) -> dict[str, Relocator]:
     """GCBB, with or without the search for rivals, and RS, by their names in the tables."""
-    return {
-        "GCBB": functools.partial(gcbb, rivals=rivals),
-        "GCBB, outwards": functools.partial(gcbb, rivals=rivals, outwards=True),
-        "RS": random_sampling,
-    }
+    return {"GCBB": functools.partial(gcbb, rivals=rivals), "RS": random_sampling}
 
 
 def relocate(search: Relocator, area: SurveyedField, drawn: FieldScan, locality: Locality | None) -> Record:

@@ -47,7 +47,8 @@ def logs(whole: Recording, seed: int, count: int) -> Iterator[tuple[str, str, Re
     for first, last in PARTS:
         yield "part", f"{first} to {last}", whole.part(first, last)
     best = smoothed(map_log(whole, CEILING, slam_for(whole)))
-    assert best is not None
+    if best is None:
+        raise SystemExit(f"{whole.name}: no batch solution, so nothing can be simulated along its path")
     for k in range(count):
         yield "simulated", f"seed {seed + k}", simulated(whole, best, np.random.default_rng(seed + k))
 

@@ -115,7 +115,9 @@ class RelocateEnv(BaseEnv):
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
         # a floor plan has no other worlds: scans from outside are from the scenario's worlds
-        self._elsewhere = None if settings.floor_plan is None else chosen_scenario(scenario or "building")
+        self._elsewhere = None
+        if settings.floor_plan is not None:
+            self._elsewhere = chosen_scenario(scenario or "building", settings.overrides)
         self.walk_spec = WalkSpec(
             settings.candidates, settings.order, settings.node_limit, settings.sizes, self.scenario.slam.map.confidence
         )

@@ -150,7 +150,7 @@ def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> I
     if keys:
         time = next(iter(keys))[0]
         raise RecordingError(f"{folder}: {len(keys)} labels fit no detection, the first at {time} ms")
-    return np.where(np.isin(stamps, labels[:, 0].astype(np.int64)), identities, UNLABELLED)
+    return np.where(np.isin(stamps, np.round(labels[:, 0]).astype(np.int64)), identities, UNLABELLED)
 
 
 def read_matlab(path: Path, *names: str) -> list[Any]:

@@ -75,7 +75,7 @@ class BeamSpec(Checked):
 
 @dataclass(frozen=True)
 class OdometrySpec(Checked):
-    """Noise of the odometry. Without slip, variances add up along the path, however divided into ticks."""
+    """Noise of the odometry. Without slip and floor, variances add up along the path, however divided into ticks."""
 
     forward: float = 0.03  # [m/√m] along the heading
     lateral: float = 0.01  # [m/√m] across it

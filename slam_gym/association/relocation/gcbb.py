@@ -6,7 +6,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.problem import INDEX, Best, Problem, fewest, must_end, offer, searched
 from slam_gym.association.relocation.tree import next_branch
-from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_count
 
 _STAR = -1  # in place of a candidate: `*` comes next, no candidates are left
@@ -21,7 +21,6 @@ def gcbb(
     min_pairings: int | None = None,
     node_limit: int = 1_000_000,
     rivals: bool = True,
-    outwards: bool = False,
 ) -> Relocation:
     """The jointly compatible hypothesis with most pairings among those that satisfy location-independent constraints.
 
@@ -35,28 +34,22 @@ def gcbb(
     returned, and `ties` is the number of the others that imply another pose. Without, the search is that of the paper:
     the first hypothesis with most pairings is returned, and ties are not counted.
 
-    Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
-    come from a feature that was seen together with those of all others, so that a strict locality loses less.
-
     `min_pairings` replaces the rule of `acceptance`, and no hypothesis with fewer is looked for. Where `node_limit`,
     `LOCATION_LIMIT` or `TEST_LIMIT` ends the search, `effort.limit_hit` is set and the best hypothesis so far is
     returned. Raises ValueError for a node limit below 1, bad numbers in scan or map, and a locality of another map.
     """
     check_count("node_limit", node_limit)
-    levels = np.arange(len(scan))
-    if outwards and len(scan):
-        levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
 
     def search(problem: Problem, best: Best) -> None:
-        _gcbb(problem, levels, node_limit, rivals, best)
+        _gcbb(problem, len(scan), node_limit, rivals, best)
 
     return searched(scan, landmarks, locality, confidence, min_pairings, search)
 
 
 @compiled
-def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, best: Best) -> None:
-    """The search, where level l decides measurement levels[l]; its answer is entered in `best`."""
-    m, effort = len(levels), problem.effort
+def _gcbb(problem: Problem, m: int, node_limit: int, rivals: bool, best: Best) -> None:
+    """The search for the pairings of `m` measurements; its answer is entered in `best`."""
+    effort = problem.effort
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     # by level: the pairings above it, and the candidates tried
     above, tried = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
@@ -71,7 +64,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, bes
             offer(best, problem, path, p)
             level -= 1
             continue
-        feature, examined = next_branch(problem, path, p, levels[level], tried[level])
+        feature, examined = next_branch(problem, path, p, level, tried[level])
         tried[level] = _STAR if feature == UNPAIRED else examined
         if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
@@ -79,7 +72,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool, bes
             break
         effort[INDEX.nodes] += 1
         if feature != UNPAIRED:
-            path.measurements[p], path.features[p] = levels[level], feature
+            path.measurements[p], path.features[p] = level, feature
             p += 1
         level += 1
         above[level], tried[level] = p, 0

@@ -31,19 +31,6 @@ def test_gcbb_finds_the_best_of_all_hypotheses(seed, locality):
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@for_seeds(20)
-def test_outwards_is_the_same_search_with_the_measurements_sorted_from_their_centre(seed, locality):
-    scan, landmarks, _, localities = oracles.small_problem(seed)
-    order = np.argsort(np.hypot(*(scan.points - scan.points.mean(axis=0)).T))
-    names = ("points", "covariances", "sizes", "size_variances")
-    sorted_scan = replace(scan, **{name: getattr(scan, name)[order] for name in names})
-    found = gcbb(scan, landmarks, localities[locality], outwards=True)
-    expected = gcbb(sorted_scan, landmarks, localities[locality])
-    np.testing.assert_array_equal(found.features[order], expected.features)
-    assert found.effort.nodes == expected.effort.nodes and found.ties == expected.ties
-
-
-@pytest.mark.parametrize("locality", LOCALITIES)
 @for_seeds(12)
 def test_random_sampling_with_every_sample_finds_the_best_that_a_sample_leads_to(seed, locality):
     scan, landmarks, P, localities = oracles.small_problem(seed + 500, largest=4)
