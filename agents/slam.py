@@ -36,14 +36,20 @@ def main(
 
     from agents.evaluation.mapped_log import map_log
     from agents.evaluation.tables import counted
+    from slam_gym.association import resolve_associator
     from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import BLUE, GREEN, GREY, INK, RED, YELLOW, plot_map, plot_path
     from slam_gym.scenarios import slam_for
     from slam_gym.simulation.judged import CEILING
     from slam_gym.types import UNLABELLED
 
+    if associator != CEILING:
+        resolve_associator(associator)
+    recordings = open_recordings(log)
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"--output {output}: is no folder")
     output.mkdir(parents=True, exist_ok=True)
-    for recording in open_recordings(log):
+    for recording in recordings:
         if associator == CEILING and not (recording.sources != UNLABELLED).any():
             raise ValueError(f"{recording.name}: {CEILING} needs identities, and no measurement has one")
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)

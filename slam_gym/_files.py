@@ -7,6 +7,8 @@ import gzip
 import io
 import json
 import os
+import shutil
+import threading
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,15 +48,21 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
     Raises OSError, naming `path`.
     """
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
+    target = path.resolve()  # a link remains one
+    is_special = target.exists() and not target.is_file()  # a device or a pipe, which is written to
+    scratch = target if is_special else target.with_name(f".{target.name[:50]}.{os.getpid()}-{threading.get_ident()}")
     try:
         with scratch.open("wb") as file:
             yield file
-        scratch.replace(path)
+        if not is_special:
+            if target.exists():
+                shutil.copymode(target, scratch)
+            scratch.replace(target)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
-        scratch.unlink(missing_ok=True)
+        if not is_special:
+            scratch.unlink(missing_ok=True)
 
 
 def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]:
@@ -74,19 +82,27 @@ def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]
 def zip_members(path: Path, limit: int = MAX_BYTES) -> dict[str, bytes]:
     """The members of a zip file by name; those of a `.npz` file by the names of their arrays.
 
-    Raises ValueError for damage, and for more than `limit` bytes, packed or as declared; OSError as `open`.
+    Raises ValueError for damage, and for more than `limit` bytes, packed or unpacked; OSError as `open`.
     """
     content = content_of(path, limit)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             too_large = sum(entry.file_size for entry in entries) > limit
-            members = {entry.filename: archive.read(entry) for entry in entries if not too_large}
+            members = {entry.filename: _member(archive, entry) for entry in entries if not too_large}
     except Exception as error:  # zipfile raises various errors
         raise ValueError(f"is not a readable zip file: {error}") from None
     if too_large:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
     return {name.removesuffix(".npy"): member for name, member in members.items()}
+
+
+def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    """A member of an archive, of which no more is unpacked than it declares. Only deflate can be stopped there."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{entry.filename} is packed otherwise than by deflate")
+    with archive.open(entry) as file:
+        return file.read(entry.file_size + 1)
 
 
 def json_of(content: bytes | str) -> Any:

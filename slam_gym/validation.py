@@ -13,7 +13,8 @@ from typing import Any, cast, get_args, get_type_hints
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
+from slam_gym.types import LARGEST, UNPAIRED, Array, Experience, Hypothesis, IntArray, Odometry, Scan
+from slam_gym.types._fields import FLOAT, check_array
 
 _CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
 _ILL_CONDITIONED = f"covariance has a condition number above {_CONDITION:.0e}"
@@ -131,8 +132,8 @@ def indices(name: str, values: Any, count: int, lowest: int = 0) -> IntArray:
 def check_measurements(points: Array, covariances: Array) -> None:
     """`check_scan` for its points (m, 2) and covariances (m, 2, 2)."""
     for i in range(points.shape[0]):
-        if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
-            raise ValueError(f"Scan: measurement {i}: points are not finite")
+        if not (abs(points[i, 0]) <= LARGEST and abs(points[i, 1]) <= LARGEST):
+            raise ValueError(f"Scan: measurement {i}: points are not finite, or beyond 1e9 m")
         a, b, c, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 0], covariances[i, 1, 1]
         if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)):
             raise ValueError(f"Scan: measurement {i}: covariance is not finite")
@@ -167,8 +168,8 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     a map of n `features`.
 
     Raises ValueError where it is not a `Hypothesis`, where its features are not m signed integers −1 … n−1, where an
-    exclusive hypothesis pairs a feature twice, where its D²_H and degrees of freedom are no numbers, and where a
-    measurement is both paired and new.
+    exclusive hypothesis pairs a feature twice, where its D²_H and degrees of freedom are no numbers, where a
+    measurement is both paired and new, and where its experience is none.
     """
     if not isinstance(hypothesis, Hypothesis):
         raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
@@ -191,6 +192,7 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
             )
         if feature != UNPAIRED:
             paired.add(feature)
+    _check_experience(hypothesis.experience)
     for name, value in (("joint_distance", hypothesis.joint_distance), ("dof", hypothesis.dof)):
         if not isinstance(value, int | float | np.number):
             raise ValueError(f"hypothesis.{name}: {value!r}, expected a number")
@@ -199,6 +201,18 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     if new is not None and not (is_mask and not (new & (decisions >= 0)).any()):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
     return hypothesis if decisions is array else replace(hypothesis, features=decisions)
+
+
+def _check_experience(experience: object) -> None:
+    """Raise ValueError unless it is None or an `Experience` of finite numbers."""
+    if experience is None:
+        return
+    if not isinstance(experience, Experience):
+        raise ValueError(f"hypothesis.experience: {type(experience).__name__}, expected an Experience or None")
+    check_array("hypothesis.experience.detections", experience.detections, FLOAT, (len(experience.detections),))
+    for name in ("unpaired", "area", "detections"):
+        if not np.isfinite(getattr(experience, name)).all():
+            raise ValueError(f"hypothesis.experience.{name}: not finite")
 
 
 def one_of(name: str, value: Any, known: Any) -> None:

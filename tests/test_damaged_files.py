@@ -5,12 +5,15 @@ MATLAB files are cut short or hold other variables: with damaged bytes some end 
 
 import gzip
 import io
+import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 from slam_gym import weights
+from slam_gym._files import zip_members
 from slam_gym.recordings import load, open_recordings
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.victoria_park import victoria_park
@@ -192,3 +195,18 @@ def test_files_above_the_limit_are_refused(tmp_path) -> None:
     assert len(bomb) < 1 << 20
     with pytest.raises(ValueError, match=r"log\.npz: .*unpacks to more than 64 MB"):
         load(tmp_path / "log.npz")
+
+
+def test_an_archive_that_unpacks_to_more_than_it_declares_is_refused_before_it_does(tmp_path):
+    for kind in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2):
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", kind) as archive:
+            archive.writestr("mean.npy", bytes(200 << 20))
+        content = packed.getvalue()
+        at = content.rindex(b"PK\x01\x02") + 24  # its declared size
+        (tmp_path / "bomb.npz").write_bytes(content[:at] + (100).to_bytes(4, "little") + content[at + 4 :])
+        tracemalloc.start()
+        with pytest.raises(ValueError, match="not a readable zip file"):
+            zip_members(tmp_path / "bomb.npz")
+        assert tracemalloc.get_traced_memory()[1] < 100 << 20
+        tracemalloc.stop()

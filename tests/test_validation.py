@@ -17,7 +17,7 @@ from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.types import UNPAIRED, Beams, Effort, Hypothesis, Landmarks, Locality, Odometry, Scan
+from slam_gym.types import UNPAIRED, Beams, Effort, Experience, Hypothesis, Landmarks, Locality, Odometry, Scan
 from slam_gym.validation import LIMITS, check_hypothesis, check_scan, one_of
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
@@ -117,6 +117,14 @@ def test_a_measurement_that_is_paired_or_not_there_cannot_be_new(new) -> None:
 def test_what_is_no_hypothesis_is_named(answer) -> None:
     with pytest.raises(ValueError, match=rf"hypothesis: {type(answer).__name__}, expected a Hypothesis"):
         check_hypothesis(answer, 3, 5)
+
+
+@pytest.mark.parametrize(
+    "experience", ["much", Experience(1.0, math.nan, np.zeros(5)), Experience(1.0, 2.0, np.full(5, np.inf))]
+)
+def test_what_is_no_experience_is_named(experience) -> None:
+    with pytest.raises(ValueError, match=r"hypothesis\.experience"):
+        check_hypothesis(hypothesis(np.array([0, 1, 2]), experience=experience), 3, 5)
 
 
 def test_what_fits_is_handed_back_as_it_is() -> None:

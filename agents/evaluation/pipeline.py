@@ -163,6 +163,7 @@ def _read(folder: Path) -> Results | None:
     with undamaged(folder / METADATA):
         metadata: dict[str, Any] = json_of(content_of(folder / METADATA))
         wrong = [name for name, kind in _TYPES.items() if not isinstance(metadata[name], kind)]
+        wrong += ["models" for known in metadata.get("models", {}).values() if "sha256" not in known]
         if wrong or metadata["kind"] not in KINDS:
             raise ValueError(f"{(wrong or ['kind'])[0]} is not what an evaluation writes")
     if not (folder / TABLE).exists():
@@ -171,6 +172,8 @@ def _read(folder: Path) -> Results | None:
         frame, text = pd.read_csv(folder / TABLE, dtype={"episode": int}), ["name", "setting", "model"]
         as_written = pd.read_csv(folder / TABLE, usecols=text, dtype=str, keep_default_na=False)  # also where it is NA
         frame[text] = as_written[text]
+        if frame.duplicated([*Key._fields]).any():
+            raise ValueError("an episode is there twice")
         return Results(metadata, frame.set_index([*Key._fields]).reset_index())
 
 

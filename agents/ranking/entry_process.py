@@ -4,14 +4,17 @@ The evaluator imports no code of an entry and unpickles none of its data: answer
 time. An entry that fails loses the episode. There is no defence against reading the memory of another process.
 
 The process runs this module by `main`, and contains no simulator. A request arrives on stdin as a pickle that the
-evaluator wrote. An answer goes to stdout as one line of JSON; everything that the entry prints goes to stderr.
+evaluator wrote. An answer goes to stdout as one line of JSON; everything that the entry prints goes to stderr, and what
+it reads from stdin is empty.
 """
 
 import asyncio
 import atexit
+import contextlib
 import json
 import os
 import pickle
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
@@ -61,20 +64,26 @@ class EntryProcess:
     def refuse(self, reason: object) -> EntryError:
         """End the process; returns the error that ends the episode."""
         self.close()
-        return EntryError(f"{' '.join(self._entry)}: {str(reason)[:300]}")
+        shown = "".join(letter if letter.isprintable() else " " for letter in str(reason)[:300])
+        return EntryError(f"{' '.join(self._entry)}: {shown}")
 
     def close(self) -> None:
+        """End the process and what it has started."""
         process, self._process = self._process, None
-        if process is not None and process.returncode is None:
-            process.kill()
+        if process is None:
+            return
+        with contextlib.suppress(OSError):  # it has ended, and nothing of its session is left
+            os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
+        if process.returncode is None:
             self._loop.run_until_complete(asyncio.wait([self._loop.create_task(process.wait())], timeout=5.0))
 
     def _start(self) -> dict[str, Any]:
         path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
         pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
         child = asyncio.create_subprocess_exec(
-            sys.executable, "-P", "-m", __name__, *self._entry, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
-        )
+            sys.executable, "-P", "-m", __name__, *self._entry,
+            stdin=pipe, stdout=pipe, limit=_LONGEST, env=env, start_new_session=True,
+        )  # fmt: skip
         self._process, self._next_limit = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
         if not isinstance(about, dict):
@@ -207,6 +216,7 @@ def main(role: str, name: str) -> None:
     """Answer requests until there are no more. An error of the entry is the last answer."""
     incoming, outgoing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     try:
         answer, entry = _load(role, name)
         while True:

@@ -29,7 +29,7 @@ from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
 from slam_gym.mapping.stochastic_map import checked_pose
 from slam_gym.types import Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
-from slam_gym.validation import check_hypothesis, imported
+from slam_gym.validation import check_hypothesis, check_number, imported
 
 __all__ = [
     "ASSOCIATORS",
@@ -107,6 +107,7 @@ def check_relocation(answer: Relocation, measurements: int, features: int) -> Re
     if not isinstance(answer, Relocation):
         raise ValueError(f"returned {type(answer).__name__}, not a Relocation")
     check_hypothesis(Hypothesis(answer.features, 0.0, 0), measurements, features)
+    check_number("min_pairings", answer.min_pairings)
     if answer.accepted:
         checked_pose(answer.pose, answer.covariance)
     return answer

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments, nothing
 from slam_gym.association.walks import Order
-from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, settings_of
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
 from slam_gym.simulation.association_runs import DRIVERS, LOGS, AssociationRun, DrivenRun, Driver, LoggedRun, ScanLog
 from slam_gym.simulation.judged import NOT_OFFERED, RightAnswers
@@ -58,12 +58,13 @@ class AssociateEnv(BaseEnv):
     last are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
 
     ## Rewards
-    - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features
-      *seen before* in this scan (at least 1), and by the number of scans after the first. So an episode returns the
-      mean over its scans of (right − `wrong_cost` · wrong) / (features seen before): at most 1, exactly 0 for refusing
-      everything; and what a decision earns is known at once, whatever was decided before. `info["score"]` is the same
-      ratio taken over all scans together. The identity of a map feature is the source of the measurement that created
-      it; of duplicates the oldest is right; a pairing with or of what has no label earns nothing.
+    - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements in this scan
+      of features that are *in the map* (at least 1), and by the number of scans after the first. So an episode returns
+      the mean over its scans of (right − `wrong_cost` · wrong) / (measurements of mapped features): at most 1, exactly
+      0 for refusing everything; and what a decision earns is known at once. Which features are in the map depends on
+      earlier decisions. `info["score"]` is the same ratio taken over all scans together. The identity of a map feature
+      is the source of the measurement that created it; of duplicates the oldest is right; a pairing with or of what has
+      no label earns nothing.
     - `reward="map_error"`: the decrease of the map's error, as Explore scores it, when a scan has been learned from.
       Refused where nobody knows the true places of the features, as in most recordings; `map_error` stays 1 there.
 
@@ -96,7 +97,7 @@ class AssociateEnv(BaseEnv):
     arguments: AssociateSettings
 
     def __init__(self, scenario: str | Scenario | ScanLog | None = None, **arguments: Any) -> None:
-        settings = AssociateSettings(scenario, **arguments)
+        settings = settings_of(AssociateSettings, scenario, arguments)
         super().__init__(settings)
         self.scenario = _chosen(settings)
         self.places_known = not isinstance(self.scenario, ScanLog) or len(self.scenario.targets) > 0
@@ -120,7 +121,8 @@ class AssociateEnv(BaseEnv):
 
     @property
     def score(self) -> float:
-        """(right − wrong_cost · wrong) / measurements of features seen before, of the episode so far; 0 at first."""
+        """(right − wrong_cost · wrong) / measurements of mapped features, of all scans so far, the present one counted
+        in full; 0 at first."""
         return (self._right - self.arguments.wrong_cost * self._wrong) / max(self._known, 1)
 
     def action_masks(self) -> NDArray[np.bool_]:

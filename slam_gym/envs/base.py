@@ -3,7 +3,7 @@
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, cast
@@ -24,10 +24,11 @@ from slam_gym.scenarios import (
 )
 from slam_gym.scenarios.scenario import Plain
 from slam_gym.simulation.episode import Site, survey
-from slam_gym.validation import one_of
+from slam_gym.validation import known_names, one_of
 
 Observation = dict[str, Any]
 Info = dict[str, Any]
+Kind = TypeVar("Kind", bound="Settings")
 Split = Literal["train", "test"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
 T = TypeVar("T")
@@ -100,6 +101,15 @@ class Settings:
         if not self.overrides or "budget" in self.overrides:
             return scenario
         return replace(scenario, budget=floor_budget(scenario.generator(np.random.default_rng()), scenario))
+
+
+def settings_of(kind: type[Kind], scenario: Any, arguments: Mapping[str, Any]) -> Kind:
+    """The settings of an environment. Raises TypeError, listing the known ones, for an unknown argument."""
+    known = [field.name for field in fields(kind)]
+    for name in arguments:
+        if name not in known:
+            raise TypeError(f"{kind.__name__.removesuffix('Settings')} takes no {name!r}; {known_names(name, known)}")
+    return kind(scenario, **arguments)
 
 
 class BaseEnv(gym.Env[Observation, Any], ABC):
@@ -229,7 +239,12 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return copy.deepcopy(self._started(self._snapshot))
 
     def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
-        """Replay the snapshot of an environment with the same arguments; returns its last observation and info."""
+        """Replay the snapshot of an environment with the same arguments; returns its last observation and info.
+
+        Raises ValueError for anything but a snapshot.
+        """
+        if not isinstance(snapshot, Snapshot):
+            raise ValueError(f"snapshot: {type(snapshot).__name__}, expected what `snapshot()` of one world returns")
         generator = np.random.default_rng()
         generator.bit_generator.state = copy.deepcopy(snapshot.generator)
         self.np_random, self._series = generator, snapshot.series

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
-from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, settings_of
 from slam_gym.envs.observation import encode_goals, observation_space, observe
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.driver import Command, commands
@@ -32,7 +32,8 @@ REWARDS: dict[str, Callable[[Episode], float]] = {
 """The quantities whose decrease in a step may be the reward: the rewards of an episode sum to the total decrease.
 
 `map_error` uses the truth. The others do not: they are functions of the robot's own covariances over the fixed cells of
-a virtual map, and therefore reward an overconfident associator.
+a virtual map, and therefore reward an overconfident associator. Of the truth they know no more than the bounds of the
+building and the first pose in it.
 """
 
 
@@ -91,8 +92,8 @@ class ExploreEnv(BaseEnv):
     ## Info
     Free of the truth: `action_mask`, the estimated `pose` (3,) in B, `ticks` of the step, `lost`, `missed_loop`. Not
     for agents: `map_error`, `coverage`, the step's `pairings_right`, `pairings_wrong` and `pairings_missed`,
-    `pose_nees` (NaN in a second map), `map_quality` at the end, and `truth`: `pose` (3,) in W, and the `sources` of the
-    scan, −1 for spurious measurements and beyond the last one.
+    `pose_nees` (NaN in a second map), `map_quality` when `terminated`, and `truth`: `pose` (3,) in W, and the `sources`
+    of the scan, −1 for spurious measurements and beyond the last one.
 
     ## Starting state
     A world drawn from the seeds of the `split` (with `floor_plan`, always that floor), and a random free pose in it.
@@ -121,7 +122,7 @@ class ExploreEnv(BaseEnv):
     arguments: ExploreSettings
 
     def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
-        settings = ExploreSettings(scenario, **arguments)
+        settings = settings_of(ExploreSettings, scenario, arguments)
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
         self.goal_mode = settings.action == "goal"

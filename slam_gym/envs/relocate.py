@@ -12,7 +12,7 @@ from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec, observe_walk, walk_shapes
 from slam_gym.association.walks import Order
-from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, chosen_scenario
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, box, chosen_scenario, settings_of
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.judged import NOT_OFFERED
 from slam_gym.simulation.kidnapping import is_right
@@ -82,8 +82,9 @@ class RelocateEnv(BaseEnv):
 
     ## Info
     Free of the truth: `action_mask`, `hidden`, `nodes` and `tries` so far, the `pairings` of the best hypothesis, how
-    many are `needed`, and whether it is `accepted`. Not for agents: `score` at the end (`right`, `wrong`, `nodes`), and
-    `truth`: `inside`, the `pose` (3,) in B (zeros outside), the `features` of the measurements, and the right `action`.
+    many are `needed`, and whether it is `accepted`. Not for agents: `score` when `terminated` (`right`, `wrong`,
+    `nodes`), and `truth`: `inside`, the `pose` (3,) in B (zeros outside), the `features` of the measurements, and the
+    right `action`.
 
     ## Starting state
     A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside
@@ -111,7 +112,7 @@ class RelocateEnv(BaseEnv):
     arguments: RelocateSettings
 
     def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
-        settings = RelocateSettings(scenario, **arguments)
+        settings = settings_of(RelocateSettings, scenario, arguments)
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
         # a floor plan has no other worlds: scans from outside are from the scenario's worlds

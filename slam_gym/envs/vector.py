@@ -224,8 +224,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         if self._autoreset is AutoresetMode.DISABLED and over.any():
             raise RuntimeError(f"world {np.argmax(over)}: the episode is over: call reset(options={{'reset_mask': …}})")
         values, space, shape = np.asarray(actions), self.single_action_space, self._shared["action"].shape
-        if values.shape != shape or values.dtype.kind not in ("iu" if len(shape) == 1 else "iuf"):
-            raise ValueError(f"actions {actions!r}: expected {shape} whole numbers or fractions, a row for each world")
+        kinds, numbers = ("iu", "whole numbers") if len(shape) == 1 else ("iuf", "fractions")
+        if values.shape != shape or values.dtype.kind not in kinds:
+            raise ValueError(f"actions {actions!r}: expected {shape} {numbers}, a row for each world")
         low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
         legal = ((values >= low) & (values <= high)).reshape(self.num_envs, -1).all(axis=1)
         legal |= over & (self._autoreset is AutoresetMode.NEXT_STEP)
@@ -398,6 +399,8 @@ def _numbered_errors(world: int) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # numba wraps it in a SystemError
+            raise error.__cause__ from None
         numbered = WorldError(f"world {world}: {type(error).__name__}: {error}")
         numbered.add_note(traceback.format_exc())  # the cause itself is not pickled
         raise numbered from error

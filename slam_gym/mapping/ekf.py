@@ -21,7 +21,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays
+from slam_gym.types import LARGEST, UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays
 
 # id, number of steps that saw it, the first and the last, class, directions from which it was seen
 IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS, DIRECTIONS = range(6)
@@ -44,10 +44,11 @@ def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> None:
     """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF.
 
     F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
-    Raises ValueError, with nothing changed, where u is not finite or Q is no covariance.
+    Raises ValueError, with nothing changed, where u is not finite or above `LARGEST`, or Q is no covariance.
     """
-    if not (math.isfinite(motion[0] + motion[1] + motion[2]) and is_covariance(Q)):
-        raise ValueError("odometry: not finite, or its covariance is not positive semi-definite")
+    moved, variance = abs(motion[0]) + abs(motion[1]) + abs(motion[2]), Q[0, 0] + Q[1, 1] + Q[2, 2]
+    if not (moved <= LARGEST and variance <= LARGEST * LARGEST and is_covariance(Q)):
+        raise ValueError("odometry: not finite, above 1e9 m, or its covariance is not positive semi-definite")
     c, s = math.cos(x[2]), math.sin(x[2])
     x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
     dx, dy = x_new - x[0], y_new - x[1]
@@ -143,7 +144,7 @@ def sector_of(x: Array, feature: int) -> int:
 @compiled
 def check_measurement(points: Array, covariances: Array, i: int) -> None:
     """Raise ValueError unless measurement i is finite, with a valid covariance."""
-    if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
+    if not (abs(points[i, 0]) + abs(points[i, 1]) <= LARGEST and is_covariance(covariances[i])):
         raise ValueError(f"scan: measurement {i} is not finite, or its covariance is invalid")
 
 

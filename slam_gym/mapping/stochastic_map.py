@@ -23,12 +23,14 @@ from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.mapping.update import update
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Odometry, Scan
+from slam_gym.types import LARGEST, UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 from slam_gym.validation import Checked, indices
 
 _LARGEST_FILE = 1 << 30  # [bytes] of a map
 _ROUNDING = 1e-6  # of a correlation
+_SLACK = 1e-9  # of eigenvalues below 0, relative to the trace
 _VAGUEST = 1e6  # [m, rad] σ of a pose that is placed: an update of a vaguer one would lose its digits
+_MOST = 1 << 53  # steps and ids
 _LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
 
 
@@ -411,15 +413,22 @@ class StochasticMap:
 
 
 def check_contents(m: StochasticMap, covariance: Array) -> None:
-    """Raise ValueError where ids are not unique and below the next one, a variance is negative, or the covariance that
-    was read is not symmetric or has |P_ij| > σ_i σ_j."""
-    ids, variances, diagonal = m.ids, m.size_variances, covariance.diagonal()
-    if m.step < 0 or len(np.unique(ids)) < m.n or not ((ids >= 0) & (ids < m.next_id)).all():
+    """Raise ValueError where ids are not unique and below the next one, steps or sightings are impossible, a coordinate
+    is too large, a size or its variance is none, or the covariance that was read is not symmetric or has
+    |P_ij| > σ_i σ_j."""
+    ids, variances, diagonal, first, last = m.ids, m.size_variances, covariance.diagonal(), m.first_seen, m.last_seen
+    counts = 0 <= m.step < _MOST and m.next_id < _MOST and len(np.unique(ids)) == m.n
+    if not (counts and ((ids >= 0) & (ids < m.next_id)).all()):
         raise ValueError("counted, step, next_id: not those of a map")
+    if not ((m.seen >= 1) & (first >= 0) & (first <= last) & (last <= m.step) & (m.kinds >= UNKNOWN_KIND)).all():
+        raise ValueError("counted: not that of a map")
+    if not (np.abs(m.mean) <= LARGEST).all() or (m.sizes < 0.0).any() or np.isinf(m.sizes).any():
+        raise ValueError("mean, sized: a coordinate is above 1e9 m, or a size is none")
     sigmas = np.sqrt(np.maximum(diagonal, 0.0))
     greatest = (1.0 + _ROUNDING) * np.outer(sigmas, sigmas) + _ROUNDING * diagonal.max()
     if (diagonal < 0.0).any() or not np.allclose(covariance, covariance.T) or (np.abs(covariance) > greatest).any():
         raise ValueError("covariance: is none")
+    np.linalg.cholesky(covariance + _SLACK * diagonal.sum() * np.eye(len(covariance)))  # raises where it is indefinite
     if (variances < 0.0).any():
         raise ValueError("sized: a variance is negative")
 
@@ -427,8 +436,8 @@ def check_contents(m: StochasticMap, covariance: Array) -> None:
 def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
     """Copies of the pose (3,), its heading wrapped, and the covariance (3, 3). Raises ValueError for invalid ones."""
     x, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
-    if x.shape != (3,) or not np.all(np.isfinite(x)):
-        raise ValueError(f"pose: expected 3 finite numbers, got {x.tolist()}")
+    if x.shape != (3,) or not (np.abs(x) <= LARGEST).all():
+        raise ValueError(f"pose: expected 3 finite numbers up to {LARGEST:.0e}, got {x.tolist()}")
     if P.shape != (3, 3) or not is_covariance(P):
         raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
     if P.max() > _VAGUEST**2:

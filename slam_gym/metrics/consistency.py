@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.geometry import relative, wrap_angle
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 
 
@@ -46,15 +46,6 @@ def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
     error = pose - true
     error[2] = wrap_angle(error[2])
     return nees(error, covariance)
-
-
-@compiled
-def error_of_pose(x: Array, P: Array, base: Array, true: Array) -> float:
-    """`pose_nees` of the robot in a map with state x and covariance P (upper triangle).
-
-    `base` (3,) is the base of the map in W, `true` (3,) the true pose of the robot in W.
-    """
-    return pose_nees(x[:3], P[:3, :3].copy(), relative(base, true))
 
 
 def anees(values: Array, dof: int) -> float:

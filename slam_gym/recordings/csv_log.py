@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from slam_gym._files import content_of
-from slam_gym.recordings.recording import LARGEST, Recording, RecordingError, naming, starts_of
-from slam_gym.types import UNLABELLED, Array, IntArray, Scan
+from slam_gym.recordings.recording import Recording, RecordingError, naming, starts_of
+from slam_gym.types import LARGEST, UNLABELLED, Array, IntArray, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
 _OPTIONAL = ("size", "sigma_size", "source")
@@ -113,12 +113,14 @@ def _table(text: str) -> dict[str, Array]:
 
 def _number(text: str, where: str) -> float:
     """The number in a cell, NaN if it is empty. Raises RecordingError if it is no finite number."""
+    if not text.strip():
+        return math.nan
     try:
-        value = float(text) if text.strip() else math.nan
+        value = float(text.replace("_", "?"))  # Python would read 1_0 as 10
     except ValueError:
         raise RecordingError(f"{where}: {text[:40]!r} is no number") from None
-    if math.isinf(value):
-        raise RecordingError(f"{where}: {text[:40]!r} is not finite")
+    if not math.isfinite(value):
+        raise RecordingError(f"{where}: {text[:40]!r} is not finite; a cell without a number is empty")
     return value
 
 

@@ -47,7 +47,12 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
     """
     with naming(path):
         entries = _read(Path(path), _G2O)
-        vertices = {tag: {v.key[0]: v.mean for v in entries[tag] if reference} for tag in ("VERTEX_SE2", "VERTEX_XY")}
+        vertices: dict[str, dict[int, list[float]]] = {"VERTEX_SE2": {}, "VERTEX_XY": {}}
+        for tag, known in vertices.items() if reference else ():
+            for vertex in entries[tag]:
+                if vertex.key[0] in known:
+                    raise RecordingError(f"line {vertex.line}: vertex {vertex.key[0]} is there twice")
+                known[vertex.key[0]] = vertex.mean
         return _recording(Path(path), entries["EDGE_SE2"], entries["EDGE_SE2_XY"], False, *vertices.values())
 
 

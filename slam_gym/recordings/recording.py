@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._files import MAX_BYTES, array_of, replacing, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
-from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
+from slam_gym.types import LARGEST, SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 from slam_gym.validation import check_measurements
 
 FORMAT, VERSION = "slam_gym recording", 1
@@ -27,7 +27,6 @@ _TEXTS = ("name", "source", "terms")
 _INTEGERS = ("starts", "sources", "landmark_ids")
 _NUMBERS = ("range", "field_of_view")
 _LARGEST_IDENTITY = 1 << 20
-LARGEST = 1e9  # [m] greatest coordinate or standard deviation: squares of larger ones may overflow later
 _TOLERANCE = 1e-9  # for asymmetry and negative eigenvalues, relative to the largest entry
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association.prediction import Associator, Prediction
-from slam_gym.geometry import compose, compose_jacobians, observe, transform
+from slam_gym.geometry import compose, compose_jacobians, observe, relative, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.consistency import error_of_pose
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.active_slam import VirtualMap
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -164,7 +164,7 @@ class Episode:
     def _log(self) -> None:
         """Record the estimated pose and its error."""
         slam, estimate, true_pose = self.slam, self.slam.map.pose, self.truth.pose
-        nees = error_of_pose(*slam.map.arrays[:2], self.base, true_pose)
+        nees = pose_nees(estimate, slam.map.pose_covariance, relative(self.base, true_pose))
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.ticks += 1

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam_gym.association import marginal, resolve_associator
+from slam_gym.association import check_relocation, marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.geometry import compose_jacobians, inverse, observe
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, checked_pose
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.atlas import Atlas, AtlasSpec, accepted
 from slam_gym.slam.negative_evidence import NegativeEvidence
@@ -345,6 +345,8 @@ class Slam:
 
     def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
+        check_relocation(found, len(scan), self.map.n)
+        checked_pose(found.pose, found.covariance)
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, UNKNOWN_POSE * max(1.0, *np.diag(found.covariance)[:2]))

@@ -37,6 +37,9 @@ SPURIOUS = -1
 UNLABELLED = -2
 """The source of a measurement without a label (recordings only)."""
 
+LARGEST = 1e9
+"""[m] The greatest coordinate, motion or standard deviation: squares of larger ones may overflow later."""
+
 _EXACT = 1e-12  # [m²] variance of an exact measurement
 
 ScanArrays = tuple[Array, Array, Array, Array, IntArray]

@@ -12,6 +12,7 @@ BoolArray = NDArray[np.bool_]
 Entry = TypeVar("Entry", bound=np.generic)
 
 FLOAT, INTEGER = np.dtype(np.float64), np.dtype(np.int64)
+_SPECIAL = (np.ma.MaskedArray, np.matrix)  # arrays that mean something else than plain ones
 
 UNKNOWN_KIND = -2
 """The kind of a measurement or feature that could not be classified."""
@@ -19,8 +20,8 @@ UNKNOWN_KIND = -2
 
 def check_array(name: str, value: object, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
     """Raise ValueError unless `value` is an array of this type and shape."""
-    if not isinstance(value, np.ndarray) or value.dtype != dtype:
-        actual = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+    if not isinstance(value, np.ndarray) or isinstance(value, _SPECIAL) or value.dtype != dtype:
+        actual = value.dtype if type(value) is np.ndarray else type(value).__name__
         raise ValueError(
             f"{name}: {actual}, expected an array of {dtype} (the class methods from_… convert other types)"
         )
@@ -30,6 +31,7 @@ def check_array(name: str, value: object, dtype: np.dtype[Any], shape: tuple[int
 
 def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """A fresh float array of `shape`, where −1 stands for any length. Raises ValueError naming the argument."""
+    _refuse_special(name, value)
     try:
         out = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -44,6 +46,7 @@ def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 def deviations(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Standard deviations of `shape`, from an array of that shape or one number for all. Raises ValueError naming the
     argument."""
+    _refuse_special(name, value)
     sigmas = np.asarray(value, np.float64)
     if sigmas.shape not in ((), shape):
         raise ValueError(f"{name}: shape {sigmas.shape}, expected one number or {_formatted(shape)}")
@@ -60,6 +63,14 @@ def in_radians(name: str, angles: Array) -> Array:
     return angles
 
 
+def _refuse_special(name: str, value: ArrayLike) -> None:
+    """Raise ValueError for arrays that would lose something as plain ones: a mask, imaginary parts, matrix products."""
+    is_complex = isinstance(value, np.ndarray) and value.dtype.kind == "c"
+    if isinstance(value, _SPECIAL) or is_complex:
+        what = "complex numbers" if is_complex else type(value).__name__
+        raise ValueError(f"{name}: {what}, expected a plain array of real numbers")
+
+
 def _formatted(shape: tuple[int, ...]) -> str:
     return str(shape).replace("-1", "m")
 
@@ -70,6 +81,7 @@ def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, 
     if (value is None) == (sigma is None):
         raise ValueError(f"{name}, sigma: expected exactly one of the two")
     if value is not None:
+        _refuse_special(name, value)
         covariances = np.asarray(value, np.float64)
         if covariances.shape not in ((2, 2), (m, 2, 2)):
             raise ValueError(f"{name}: shape {covariances.shape}, expected ({m}, 2, 2) or (2, 2)")

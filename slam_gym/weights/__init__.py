@@ -113,6 +113,8 @@ def _read_card(path: Path) -> Card:
     try:
         card = Card(**json_of(content_of(path.with_suffix(".json"), MAX_BYTES)))
         shapes = {name: tuple(shape) for name, shape in card.shapes.items()}
+        if type(card.version) is not int or not all(isinstance(name, str) for name in card.inputs):
+            raise TypeError("a version is an integer, inputs are names")
         return card._replace(
             inputs=tuple(card.inputs), shapes=shapes, scenarios=tuple(card.scenarios), seeds=tuple(card.seeds)
         )

@@ -162,6 +162,10 @@ def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
     values = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
     resolution, threshold = (_number(key, values[key]) for key in ("resolution", "free_thresh"))
     negate = values["negate"] if isinstance(values["negate"], bool) else _number("negate", values["negate"])
+    if not 0.0 < threshold < 1.0:
+        raise FloorPlanError("free_thresh", f"{threshold} is not between 0 and 1")
+    if negate not in (0, 1):
+        raise FloorPlanError("negate", f"{negate} is neither 0 nor 1")
     mode = values.get("mode", "trinary")
     if mode not in ("trinary", "scale"):
         raise FloorPlanError("mode", f"{reprlib.repr(mode)} is neither trinary nor scale")

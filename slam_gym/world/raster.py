@@ -99,7 +99,7 @@ class _Frame:
 
 
 def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | None) -> NDArray[np.uint8]:
-    if not np.isfinite(resolution) or not 1e-3 <= resolution <= 1.0:
+    if not isinstance(resolution, int | float | np.number) or not 1e-3 <= resolution <= 1.0:
         raise FloorPlanError("resolution", f"{resolution!r} is not in [0.001, 1] metres per pixel")
     if occupancy.ndim != 2 or min(occupancy.shape) < 3:
         raise FloorPlanError("occupancy", f"has shape {occupancy.shape}, expected (h, w) of at least 3 × 3 pixels")

@@ -213,6 +213,30 @@ def test_a_state_that_cannot_be_is_refused(spoil) -> None:
         StochasticMap.of_state(KEEP, spoil(used_map().state))
 
 
+def indefinite(P):
+    """A matrix with the variances of P, correlations within ±1, and a negative eigenvalue."""
+    P, sigmas = P.copy(), np.sqrt(P.diagonal()[3:6])
+    P[3:6, 3:6] = np.outer(sigmas, sigmas) * [[1.0, 0.9, 0.9], [0.9, 1.0, -0.9], [0.9, -0.9, 1.0]]
+    return P
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda state: replace(state, covariance=indefinite(state.covariance)),
+        lambda state: replace(state, counted=state.counted * 0),
+        lambda state: replace(state, step=1 << 60),
+        lambda state: replace(state, mean=np.append(state.mean[:3], state.mean[3:] + 1e300)),
+        lambda state: replace(state, sized=state.sized - np.inf),
+    ],
+)
+def test_a_file_of_a_map_that_cannot_be_is_refused(spoil, tmp_path) -> None:
+    m = StochasticMap.of_state(KEEP, spoil(used_map().state))
+    m.save(tmp_path / "map.npz")
+    with pytest.raises(ValueError, match=r"map\.npz: no map that can be read"):
+        StochasticMap.load(tmp_path / "map.npz")
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 

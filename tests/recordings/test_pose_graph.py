@@ -79,6 +79,7 @@ def test_vertices_are_the_reference_if_asked(tmp_path) -> None:
         (f"EDGE_SE2_XY 0 {'9' * 5000} 1 2 1 0 1", "is no index"),
         ("EDGE_SE2_XY 0 100 1 2 1e-320 0 1e300", "not positive definite"),
         ("EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1", "from 0 to 1 is there twice"),
+        ("VERTEX_XY 100 7 7", "vertex 100 is there twice"),
     ],
 )
 def test_a_bad_line_is_named(tmp_path, line, message) -> None:
@@ -86,7 +87,7 @@ def test_a_bad_line_is_named(tmp_path, line, message) -> None:
     count = len(path.read_text().splitlines())
     path.write_text(path.read_text() + "\n" + line)
     with pytest.raises(RecordingError, match=rf"log\.g2o: line {count + 1}: .*{message}"):
-        g2o(path)
+        g2o(path, reference=True)
 
 
 @pytest.mark.parametrize(

@@ -228,6 +228,21 @@ def test_of_two_rooms_that_are_alike_neither_is_believed_though_one_fits_better(
     assert len(poses) == 20 and np.abs(poses - [6.0, 6.0, 1.0]).max() < 0.2
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"pose": np.array([1e200, 0.0, 0.0])}, {"covariance": -np.eye(3)}, {"covariance": None}, {"min_pairings": "3"}],
+)
+def test_an_answer_that_cannot_be_is_refused_before_the_robot_is_moved(wrong) -> None:
+    scan, answer = scan_of([[1, 0], [2, 1]]), replace(found([0, 1], np.zeros(3)), **wrong)
+    slam = Slam(relocate=lambda *_: answer)
+    slam.step(STILL, scan)
+    prediction, slam.tracker.doubted = slam.predict(STILL, scan), slam.tracker.scans
+    before = slam.map.mean
+    with pytest.raises(ValueError, match=r"pose|covariance|min_pairings"):
+        slam.relocate(scan, prediction)
+    np.testing.assert_array_equal(slam.map.mean, before)
+
+
 def test_a_search_or_a_locality_that_nobody_knows_is_refused() -> None:
     with pytest.raises(ValueError, match=r"unknown relocator 'oracle'; known: .*gcbb"):
         relocate_by("oracle")

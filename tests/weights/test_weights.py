@@ -49,6 +49,14 @@ def test_weights_for_something_else_are_refused(path, version, inputs, shapes, m
         load(path, version, inputs, shapes)
 
 
+@pytest.mark.parametrize("wrong", [{"inputs": [[1], {}]}, {"inputs": [1, "a"]}, {"version": "2"}])
+def test_a_card_with_other_types_is_refused(path, wrong) -> None:
+    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    path.with_suffix(".json").write_text(json.dumps(card | wrong), encoding="utf-8")
+    with pytest.raises(ValueError, match="its card is invalid"):
+        load(path, 2, ("range", "age"), SHAPES)
+
+
 def test_what_is_not_there_says_what_is() -> None:
     with pytest.raises(ValueError, match="weights 'nonsense': unknown; known: "):
         load("nonsense", 1, (), {})

@@ -157,6 +157,8 @@ def test_ros_map_origin_and_negate(tmp_path, cv2):
         ("map.yaml", b"image: a\nresolution: fine\n", "resolution: 'fine' is not a number"),
         ("map.yaml", b"image: a\nresolution: 0.1\norigin: [0, 0, 1]\n", "origin"),
         ("map.yaml", b"image: a\nresolution: 0.1\nmode: raw\n", "mode: 'raw' is neither"),
+        ("map.yaml", b"image: a\nresolution: 0.1\nfree_thresh: 5\n", "free_thresh: 5.0 is not between 0 and 1"),
+        ("map.yaml", b"image: a\nresolution: 0.1\nnegate: 2\n", "negate: 2.0 is neither 0 nor 1"),
         ("map.yaml", b"image: {\n", "file: is not YAML"),
         ("map.yaml", b"image: " + b"[" * 2000, "file: is not YAML"),
         ("map.yaml", b"image: a\nresolution: 2001-99-99\n", "file: is not YAML"),

@@ -145,17 +145,11 @@ def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, floa
         P, a, b = mapped.covariance, 2 * j, 2 * l
         return P[a, b], P[a, b + 1], P[a + 1, b], P[a + 1, b + 1]
     if len(mapped.block_starts) > 0:
-        low, high = mapped.block_starts[j], mapped.block_starts[j + 1]
-        end = high
-        while low < high:
-            middle = (low + high) // 2
-            if mapped.block_columns[middle] < l:
-                low = middle + 1
-            else:
-                high = middle
-        if low < end and mapped.block_columns[low] == l:
+        first, end = mapped.block_starts[j], mapped.block_starts[j + 1]
+        at = first + np.searchsorted(mapped.block_columns[first:end], l)
+        if at < end and mapped.block_columns[at] == l:
             P = mapped.blocks
-            return P[low, 0, 0], P[low, 0, 1], P[low, 1, 0], P[low, 1, 1]
+            return P[at, 0, 0], P[at, 0, 1], P[at, 1, 0], P[at, 1, 1]
     return 0.0, 0.0, 0.0, 0.0
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import sys
+import threading
 from dataclasses import replace
 from functools import partial
 
@@ -143,9 +144,10 @@ def test_a_folder_without_results_is_refused_by_name(tmp_path):
 WRONG = {
     "results.json": (
         "", "[]", "3", "{}", "[" * 100_000, "\xff", '{"kind": NaN}', {"kind": "others"}, {"kind": ["suite"]},
-        {"commands": 3}, {"conditions": None}, {"versions": []},
+        {"commands": 3}, {"conditions": None}, {"versions": []}, {"models": []}, {"models": {"a": {}}},
     ),
-    "results.csv": ("", "\x00\xff", "a,b\n1,2\n", "name,setting,episode,model\na,only,x,\n", 'name,"\n'),
+    "results.csv": ("", "\x00\xff", "a,b\n1,2\n", "name,setting,episode,model\na,only,x,\n", 'name,"\n',
+                    "name,setting,episode,model\na,only,1,\na,only,1,\n"),
 }  # fmt: skip
 
 
@@ -165,7 +167,7 @@ def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, c
 def test_a_full_disk_is_told_with_the_file_and_leaves_the_old_one_whole(tmp_path, file):
     carry_out(counting([task(0)]), tmp_path, **NEW)
     before = (tmp_path / file).read_bytes()
-    (tmp_path / f".{file}.{os.getpid()}").symlink_to("/dev/full")
+    (tmp_path / f".{file}.{os.getpid()}-{threading.get_ident()}").symlink_to("/dev/full")
     with pytest.raises(OSError, match=rf"No space left on device: .*{file}'"):
         carry_out(counting([task(0), task(1)]), tmp_path, **RESUMED)
     assert (tmp_path / file).read_bytes() == before

@@ -1,5 +1,7 @@
 """Entries in processes of their own decide as they would here, and whatever they do, the evaluation goes on."""
 
+import os
+import select
 import sys
 from dataclasses import replace
 from functools import partial
@@ -72,7 +74,7 @@ def test_an_entry_finds_no_simulator_and_replaces_no_score(started):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Raising", "ValueError: no idea"), ("Exiting", "its process ended"), ("Sleeping", "no answer in 1 s"),
+        ("Raising", "ValueError: no idea  [31m"), ("Exiting", "its process ended"), ("Sleeping", "no answer in 1 s"),
         ("Illegal", "is not legal"), ("Writing", "nonsense"), ("Flooding", "nonsense"),
     ],
 )  # fmt: skip
@@ -84,6 +86,18 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
     for world in worlds:
         (record,) = lose(name, "agent", "office-small", world)
         assert record["loss"] == LOST and said in record["failed"] and name in record["failed"]
+
+
+def test_what_an_entry_has_started_ends_with_it(monkeypatch, started, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setenv("LEFT", str(tmp_path / "pipe"))
+    process = started("agent", f"{STRANGERS}:Leaving")
+    monkeypatch.setattr(protocol, "process", lambda role, name: process)
+    pipe = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    (record,) = lose("Leaving", "agent", "office-small", FIRST)
+    assert "its process ended" in record["failed"]
+    assert select.select([pipe], [], [], 60.0)[0] and os.read(pipe, 1) == b""  # nobody has it open any more
+    os.close(pipe)
 
 
 @pytest.mark.parametrize(
