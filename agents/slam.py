@@ -18,9 +18,6 @@ from typer import Argument, Option
 from agents.cli import command
 from agents.options import Search, search_of
 
-# D² of pairings over its degrees of freedom: about 1 where the sigmas are right, 1.5 to 1.9 where they are two thirds
-_DEVIANT = 1.3
-
 
 def main(
     log: Annotated[
@@ -34,7 +31,7 @@ def main(
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from agents.evaluation.mapped_log import map_log
+    from agents.evaluation.mapped_log import DEVIANT, map_log
     from agents.evaluation.tables import counted
     from slam_gym.association import resolve_associator
     from slam_gym.recordings import open_recordings, write_tum
@@ -77,14 +74,15 @@ def main(
         ax.set_title(f"{recording.name}: {counted(len(table), 'feature')} by {associator}", parse_math=False)
         ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
-        print(f"{counted(len(table), 'feature')}, {counted(len(slam.maps), 'map')}")
+        paired = f"{mapped.measurements['paired'].mean():.0%} of the measurements paired"
+        print(f"{counted(len(table), 'feature')}, {counted(len(slam.maps), 'map')}, {paired}")
         if len(slam.maps) > 1:
             print("the maps are not joined: the robot was lost, or the sigmas are too small")
         if slam.missed_loop:
             print("a place is probably mapped twice: features that were seen from there before are missing")
         if slam.tracker.slips:
             print(f"the wheels slipped {counted(slam.tracker.slips, 'time')}, or the sigmas are too small")
-        if mapped.deviation > _DEVIANT:
+        if mapped.deviation > DEVIANT:
             times = f"D² of the pairings is {mapped.deviation:.1f} times its expectation"
             print(f"the sigmas are probably too small: {times}")
         if doubted:

@@ -39,7 +39,9 @@ from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Odometry, Truth
 
 FOLDER = "runs"  # with these files, in the folder of an evaluation
-MAX_GAP = 1.0  # [s] poses are not interpolated between samples that are farther apart
+MAX_GAP, LONG = 1.0, 3.0  # poses are not interpolated between samples farther apart than 1 s and 3 × the median
+DEVIANT = 1.3  # D² of pairings over its degrees of freedom: 1.5 to 1.9 where the sigmas are two thirds of the true ones
+_FEWEST = 3  # instants that are compared: a rigid motion lays two anywhere
 _LEAST_NOISE = 1e-12 * np.eye(3)  # added to the covariance of a motion, which may be zero while the robot rests
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
 
@@ -81,10 +83,11 @@ def _during(log: Recording) -> BoolArray:
 
 
 def _close(times: Array, instants: Array) -> BoolArray:
-    """(k,) whether each of `instants` (k,) lies between two of `times` that are at most MAX_GAP apart."""
+    """(k,) whether each of `instants` (k,) lies between two of `times` with no gap between them."""
+    longest = max(MAX_GAP, LONG * float(np.median(np.diff(times)))) if len(times) > 1 else MAX_GAP
     padded = np.concatenate([[-np.inf], times, [np.inf]])
     before, after = np.searchsorted(times, instants, side="right"), np.searchsorted(times, instants) + 1
-    return padded[after] - padded[before] <= MAX_GAP
+    return padded[after] - padded[before] <= longest
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,9 @@ class MappedLog:
     deviation: float  # D² of all pairings over its degrees of freedom (at least 40), about 1 where sigmas are right
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
+    in_base: (
+        BoolArray  # (T,) whether B is the frame of the covariance: the base of a second map has an error of its own
+    )
     measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
     features: pd.DataFrame  # of the final map, oldest first: the columns of its file except the aligned position
     tally: Tally
@@ -131,8 +137,9 @@ def map_log(
         seconds = time.perf_counter() - began
         doubted = slam.doubted and len(scan) > 0
         fit = step.hypothesis.joint_distance, step.hypothesis.dof
-        steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, doubted, fit, seconds))
-    poses, covariances, ids, created, doubts, fits, times = zip(*steps)
+        pose = slam.map.pose, slam.map.pose_covariance, len(slam.maps) == 1
+        steps.append((*pose, step.ids, step.created, doubted, fit, seconds))
+    poses, covariances, in_base, ids, created, doubts, fits, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
@@ -147,7 +154,7 @@ def map_log(
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(times), "step_microseconds": 1e6 * float(np.median(times))}
     distance, dof = np.sum(fits, axis=0)
-    run = slam, sum(doubts), float(distance / max(dof, 40)), np.array(poses), np.array(covariances)
+    run = slam, sum(doubts), float(distance / max(dof, 40)), np.array(poses), np.array(covariances), np.array(in_base)
     return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 
@@ -191,6 +198,7 @@ def measure(mapped: MappedLog) -> Record:
     """All measures of a mapped log."""
     log = mapped.log
     about = {"steps": len(log), "measurements": len(log.points), "missed_loop": mapped.slam.missed_loop}
+    about |= {"deviation": mapped.deviation}
     errors, best = _poses(mapped) | _landmarks(mapped), smoothed(mapped)
     of_best = {} if best is None else _poses(best) | _landmarks(best)
     batch = {f"{name}_batch": of_best.get(name, math.nan) for name in ("ate", "landmark_rmse")}
@@ -224,15 +232,18 @@ def associations(mapped: MappedLog) -> Record:
 
 def _poses(mapped: MappedLog) -> Record:
     """Errors of the positions; errors without alignment and ANEES only where B is the frame of the reference. ANEES is
-    over the steps for which there is a reference, and includes the uncertainty of the reference."""
+    over the steps in B for which there is a reference, and includes the uncertainty of the reference. NaN where fewer
+    than three instants can be compared."""
     log, compared = mapped.log, compare(mapped.log, mapped.poses)
+    if len(compared.times) < _FEWEST:
+        return dict.fromkeys(("ate", "ate_median", "ate_unaligned", "anees"), math.nan)
     aligned = {
         "ate": ate(compared.estimated, compared.reference, aligned=True),
         "ate_median": float(compared.frame()["error"].median()),
     }
-    if not mapped.in_world or not len(compared.times):
+    if not mapped.in_world:
         return aligned | {"ate_unaligned": math.nan, "anees": math.nan}
-    known = _close(log.reference_times, log.times)
+    known = _close(log.reference_times, log.times) & mapped.in_base
     true = interpolate(log.reference_times, log.reference_poses, log.times[known])
     covariances = mapped.pose_covariances[known] + np.diag(np.square(REFERENCE_SIGMA))
     values = [pose_nees(*arrays) for arrays in zip(mapped.poses[known], covariances, true)]

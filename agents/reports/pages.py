@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import JOIN
 from agents.evaluation.episodes import LOST_MEANS, map_path
-from agents.evaluation.mapped_log import FOLDER
+from agents.evaluation.mapped_log import DEVIANT, FOLDER
 from agents.evaluation.pipeline import Results, read_results
 from agents.evaluation.records import stem, undamaged, write_whole
 from agents.evaluation.tables import (
@@ -281,6 +281,12 @@ FURTHER_LOG_COLUMNS = columns(
     "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
     "nodes", "microseconds", "step_microseconds", "limits",
 )  # fmt: skip
+LOG_SIGNS = (
+    ("missed_loop", 0.0, "The robot says that it has mapped a place twice"),
+    ("deviation", DEVIANT, "By the D² of the pairings, the sigmas are probably too small"),
+)
+"""Columns that are no measures, the value above which they tell something, and what."""
+
 LOG_NOTES = {
     "ate": "ATE, lm.: RMSE of positions, of landmarks [m], aligned.",
     "ate_batch": "batch: by batch least squares with the same pairings, the maximum-likelihood estimate for them.",
@@ -311,9 +317,10 @@ def log_tables(frame: pd.DataFrame, title: str) -> list[Table]:
     numbers = frame.set_index("name")[[column.key for column in (*LOG_COLUMNS, *FURTHER_LOG_COLUMNS)]].astype(float)
     filled = numbers.dropna(axis=1, how="all")
     notes = "\n".join(note for key, note in LOG_NOTES.items() if key in filled)
-    twice = frame["name"][frame["missed_loop"] == 1] if "missed_loop" in frame else ()
-    if len(twice):
-        notes += f"\nThe robot says that it has mapped a place twice: {', '.join(map(display_name, twice))}."
+    for key, most, text in LOG_SIGNS:
+        said = frame["name"][frame[key] > most] if key in frame else ()
+        if len(said):
+            notes += f"\n{text}: {', '.join(map(display_name, said))}."
     first, further = ([c for c in shown if c.key in filled] for shown in (LOG_COLUMNS, FURTHER_LOG_COLUMNS))
     rows = filled.to_dict("index")
     return [Table(title, "associator", first, rows, notes), Table("", "associator", further, rows, "", detail=True)]

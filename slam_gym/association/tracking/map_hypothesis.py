@@ -38,7 +38,8 @@ def map_hypothesis(
 
     Arguments:
         detection: P_D.
-        density: [1/m²] λ of spurious measurements and unmapped features together.
+        density: [1/m²] λ of spurious measurements and unmapped features together. A pairing less dense than that is
+            never made: the default is for sensors that see some ten metres, to a few centimetres.
         width: hypotheses kept at each level.
         margin: a hypothesis whose log density is this much less than that of the best is dropped.
 

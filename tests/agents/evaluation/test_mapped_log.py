@@ -149,6 +149,21 @@ def test_poses_are_compared_where_the_reference_has_no_gap_and_as_surely_as_it_i
     off = log.reference_poses + np.array([0.005, 0.0, 0.0])
     sure = replace(mapped, poses=off, pose_covariances=np.zeros((len(log), 3, 3)))
     assert measure(sure)["anees"] == pytest.approx(1 / 3)
+    second = np.arange(len(log)) > 100  # a second map, whose frame is not that of the reference
+    lost = replace(sure, poses=off + 9.0 * second[:, None], in_base=~second)
+    assert measure(lost)["anees"] == pytest.approx(1 / 3)
+    alone = replace(log, reference_times=log.reference_times[:2], reference_poses=log.reference_poses[:2])
+    assert math.isnan(measure(replace(mapped, log=alone))["ate"])
+
+
+def test_a_log_of_rare_scans_is_compared_as_one_of_frequent_scans(mapped) -> None:
+    log = mapped.log
+    slow = replace(log, times=20.0 * log.times, reference_times=20.0 * log.reference_times)
+    one, other = compare(log, mapped.poses), compare(slow, mapped.poses)
+    np.testing.assert_allclose(other.times, 20.0 * one.times)
+    assert (
+        measure(replace(mapped, log=slow))["anees"] == pytest.approx(measure(mapped)["anees"]) and len(one.times) > 50
+    )
 
 
 def test_ids_are_followed_through_fusions() -> None:
