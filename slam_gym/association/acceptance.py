@@ -78,7 +78,7 @@ _NARROWEST = 1e-3  # [m] minimum extent of a scan
 class Crowding:
     """The density of a map's landmarks and their relative errors, for scans of one extent."""
 
-    landmarks: IntArray  # (c + 1,) number of landmarks, by the number of other landmarks around them
+    histogram: IntArray  # (c + 1,) number of landmarks, by the number of other landmarks around them
     area: float  # [m²] in which these others are counted
     variance: float  # [m²] per axis, of a landmark relative to its neighbours
 
@@ -159,8 +159,8 @@ def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
 @functools.lru_cache(maxsize=64)
 def _log_starts(crowding: Crowding, orders: int) -> Array:
     """log Σ_j λ_j^p [1/m^2p] for p = 0 … orders − 1."""
-    others, powers = np.flatnonzero(crowding.landmarks), np.arange(orders)
-    counts = crowding.landmarks[others]
+    others, powers = np.flatnonzero(crowding.histogram), np.arange(orders)
+    counts = crowding.histogram[others]
     if not len(others):
         return np.full(orders, -math.inf)
     fewer = np.maximum(others - powers[:, None], 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
-from agents.play import WISHES, Controls, Game, app, play
+from agents.play import Controls, Game, app, play
 from slam_gym.types import UNPAIRED
 from tests.agents import typed
 from tests.rollouts import relocate
@@ -98,30 +98,6 @@ def test_an_agent_is_watched():
 
 
 # -- what a player has at hand -----------------------------------------------------------------------------------------
-
-
-def post(kind, **fields):
-    pygame.event.post(pygame.event.Event(kind, **fields))
-
-
-def test_keys_drive_and_ask():
-    pygame.display.init()
-    controls = Controls()
-    post(pygame.KEYDOWN, key=pygame.K_w)
-    assert controls.poll() is None
-    np.testing.assert_array_equal(controls.act({}, {}), [1.0, 0.0])
-    post(pygame.KEYUP, key=pygame.K_w)
-    post(pygame.KEYDOWN, key=pygame.K_RIGHT)
-    controls.poll()
-    np.testing.assert_array_equal(controls.act({}, {}), [0.0, -1.0])
-    for wish, key in WISHES.items():
-        post(pygame.KEYDOWN, key=getattr(pygame, key))
-        assert controls.poll() == wish
-    post(pygame.QUIT)
-    assert controls.poll() == "quit"
-    controls.reset(0)
-    np.testing.assert_array_equal(controls.act({}, {}), [0.0, 0.0])
-    pygame.display.quit()
 
 
 def test_a_search_finds_nothing_while_it_is_off():

@@ -67,7 +67,7 @@ def test_the_expectation_is_the_formula_of_the_module_term_by_term():
     scan, landmarks = world(5, 60, 7, clusters=True)
     width, m, apart = extent(scan), 7, np.abs(landmarks.positions[:, None] - landmarks.positions[None])
     crowding = crowding_of(landmarks, width)
-    others = np.repeat(np.arange(len(crowding.landmarks)), crowding.landmarks)
+    others = np.repeat(np.arange(len(crowding.histogram)), crowding.histogram)
     near = (apart.max(axis=2) < width / 3.0).sum(axis=1) - 1, (apart.max(axis=2) < 2.0 * width / 3.0).sum(axis=1) - 1
     assert near[0].sum() <= others.sum() <= near[1].sum()  # of the 3 × 3 cells around each
     a = np.sqrt(np.linalg.det(scan.covariances + crowding.variance * np.eye(2)))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmarks.consistency import METHODS, LoopSpec, estimate, loop
-from benchmarks.corridor import run_corridor
 from slam_gym.association import jcbb
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.relocate import relocate_by
@@ -207,22 +206,6 @@ def test_a_prediction_is_of_no_use_once_the_map_has_changed() -> None:
             use()
     with pytest.raises(RuntimeError, match="map has changed"):
         slam.learn(scan, stale, Hypothesis(np.arange(2), 0.0, 4))
-
-
-def test_jcbb_maps_the_corridor_where_nearest_neighbour_fails() -> None:
-    seeds = range(8)
-    joint, nearest = ([run_corridor(name, seed)[0] for seed in seeds] for name in ("jcbb", "nearest_neighbour"))
-    assert all(88 <= r.slam.map.n <= 91 for r in joint)
-    assert sum(r.tally.tp for r in joint) / sum(r.tally.tp + r.tally.fp for r in joint) >= 0.985
-    assert np.mean([r.slam.map.n for r in nearest]) >= 103
-    assert sum(r.tally.fp for r in nearest) >= 10 * sum(r.tally.fp for r in joint)
-
-
-def test_locality_hardly_changes_a_decision_while_tracking() -> None:
-    for seed in range(3):
-        with_locality, without = (run_corridor("jcbb", seed, q=2.0, locality=known)[0] for known in (True, False))
-        assert abs(with_locality.tally.tp - without.tally.tp) <= 6
-        assert with_locality.tally.precision > 0.98
 
 
 # --- estimators on a square corridor driven round ---------------------------------------------------------------------

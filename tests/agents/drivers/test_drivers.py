@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from agents.drivers.base import AGENTS, BASELINES, find_agent, is_learned, make_agent, visible
-from agents.drivers.baselines import InformationGain, InformationGainNoRevisits, Lawnmower, NearestFrontier, RandomAgent
+from agents.drivers.baselines import InformationGain, Lawnmower, NearestFrontier, RandomAgent
 from slam_gym.simulation.goals import FRONTIERS, SLOTS
 from tests.agents.drivers import offered
-from tests.rollouts import explore
 
 ROOT = Path(__file__).parents[3]
 
@@ -103,20 +102,3 @@ def test_what_has_been_looked_at_promises_less_the_next_time():
     assert chosen == [1, 2, 1, 2]
     agent.reset(0)
     assert agent.act(*offered([], spots)) == 1 + FRONTIERS
-
-
-def test_revisits_use_the_time_that_is_left_in_patrol():
-    """Once all is explored, who goes back is surer of the map; who does not looks around to the end."""
-    left = {}
-    for driver in (InformationGain(), InformationGainNoRevisits()):
-        env = explore("patrol", associator="true_association", relocation=None)
-        observation, info = env.reset(seed=1, options={"world": 1})
-        ended, explored_at = False, None
-        while not ended:
-            if explored_at is None and not info["action_mask"][1 : 1 + FRONTIERS].any():
-                explored_at = env.episode.ticks
-            observation, _, ended, _, info = env.step(driver.act(observation, visible(info)))
-        P = env.episode.slam.map.arrays[1]
-        left[driver.name] = np.trace(P[3:, 3:]) / (len(P) - 3)
-        assert explored_at < 0.8 * env.scenario.budget
-    assert left["information_gain"] < 0.9 * left["information_gain_no_revisits"]
