@@ -114,10 +114,19 @@ def gate_pairings(
             innovations[place, 0], innovations[place, 1] = x, y
             count += 1
         starts[level + 1] = count
-    used = np.unique(slots[:count])  # of those offered, ascending
+    # the rows that occur, ascending, and the index of each among them
+    rows, number, distinct = np.empty(len(offered), np.int64), np.full(len(offered), -1), 0
+    for c in range(count):
+        number[slots[c]] = 0
+    for o in range(len(offered)):
+        if number[o] == 0:
+            rows[distinct], number[o] = offered[o], distinct
+            distinct += 1
+    for c in range(count):
+        slots[c] = number[slots[c]]
     return Candidates(
-        measurements, starts, measured[:count], np.searchsorted(used, slots[:count]), distances[:count],
-        innovations[:count], offered[used], capacity,
+        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows[:distinct],
+        capacity,
     )  # fmt: skip
 
 

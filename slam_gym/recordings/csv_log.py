@@ -9,8 +9,8 @@
 `lateral`, `turn` [m, m, rad]: the motion since the previous step, in the frame of the robot at that step; in the first
 step, where the robot starts. `x`, `y` [m] ahead and to the left, or `range`, `bearing` [m, rad]: a measurement, empty
 in a step without measurements. Optional: standard deviations of the motion and the measurement, in columns with the
-prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 if spurious, −2 or empty if
-unknown.
+prefix `sigma_`; `size`, `sigma_size` [m] of the feature; `kind`, its class from 0, −2 or empty if unknown; `source`,
+its identity, −1 if spurious, −2 or empty if unknown.
 """
 
 import csv
@@ -22,10 +22,10 @@ import numpy as np
 
 from slam_gym._files import content_of
 from slam_gym.recordings.recording import Recording, RecordingError, naming, starts_of
-from slam_gym.types import LARGEST, UNLABELLED, Array, IntArray, Scan
+from slam_gym.types import LARGEST, UNKNOWN_KIND, UNLABELLED, Array, IntArray, Scan
 
 MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
-_OPTIONAL = ("size", "sigma_size", "source")
+_OPTIONAL = ("size", "sigma_size", "kind", "source")
 _WHEELS = (0.02, 0.01)  # [m] default σ of a motion: constant part, and part per metre
 _COMPASS = (0.01, 0.02, 0.05)  # [rad] default σ of a turn: constant part, part per metre, and part per radian
 _SIGMAS = {"x": 0.05, "y": 0.05, "range": 0.05, "bearing": 0.01}  # [m, m, m, rad] default σ of a measurement
@@ -60,7 +60,6 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
         scan = _scan({name: column[seen] for name, column in table.items()}, measured)
         motions = np.column_stack([table[name][first] for name in MOTION])
         sigmas = _motion_sigmas(table, motions, first)
-        sources = table.get("source", np.full(len(seen), math.nan))[seen]
         distances = np.hypot(*scan.points.T) if seen.any() else np.ones(1)
         widest = np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0])).max(initial=0.1)
         return Recording(
@@ -75,7 +74,8 @@ def from_csv(path: str | Path, *, range: float | None = None, field_of_view: flo
             covariances=scan.covariances,
             sizes=scan.sizes,
             size_variances=scan.size_variances,
-            sources=np.where(np.isnan(sources), UNLABELLED, sources).astype(np.int64),
+            kinds=_integers(table, "kind", UNKNOWN_KIND)[seen],
+            sources=_integers(table, "source", UNLABELLED)[seen],
             range=max(float(distances.max()), 1e-9) if range is None else range,
             field_of_view=min(2.0 * float(widest), 2.0 * math.pi) if field_of_view is None else field_of_view,
         )
@@ -111,6 +111,12 @@ def _table(text: str) -> dict[str, Array]:
     return table
 
 
+def _integers(table: dict[str, Array], name: str, unknown: int) -> IntArray:
+    """The column of that name, `unknown` where it is empty or there is none."""
+    column = table.get(name, np.full(len(table["time"]), math.nan))
+    return np.where(np.isnan(column), unknown, column).astype(np.int64)
+
+
 def _number(text: str, where: str) -> float:
     """The number in a cell, NaN if it is empty. Raises RecordingError if it is no finite number."""
     if not text.strip():
@@ -128,17 +134,18 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
     """Raise RecordingError for the first row where time descends, or a motion or measurement is incomplete."""
     time, empty = table["time"], {name: np.isnan(column) for name, column in table.items()}
     first = np.diff(time, prepend=-math.inf) != 0.0
-    source = table.get("source", np.zeros(len(time)))
+    integers = {name: table.get(name, np.zeros(len(time))) for name in ("kind", "source")}
     refused = {
         "column 'time' is empty": empty["time"],
         "column 'time' descends": np.diff(time, prepend=time[:1]) < 0.0,
         f"only one of {measured[0]!r} and {measured[1]!r} is given": empty[measured[0]] != empty[measured[1]],
-        "column 'source' is no integer": ~np.isnan(source) & (source != np.round(source)),
-        "column 'source' is below -2": source < UNLABELLED,
-        "column 'source' is above 2⁵³, the limit of exact integers": source > 2.0**53,
         "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
         "column 'size' is negative": table.get("size", np.zeros(1)) < 0.0,
     }
+    for name, column in integers.items():
+        refused[f"column {name!r} is no integer"] = ~np.isnan(column) & (column != np.round(column))
+        refused[f"column {name!r} is below -2"] = column < -2.0
+        refused[f"column {name!r} is above 2⁵³, the limit of exact integers"] = column > 2.0**53
     for name, often in (("turn", "degrees, or absolute headings"), ("bearing", "degrees")):
         beyond = np.abs(table.get(name, np.zeros(1))) > 2.0 * math.pi
         refused[f"column {name!r} [rad] is more than a turn; are these {often}?"] = beyond

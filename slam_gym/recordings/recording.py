@@ -18,14 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_gym._files import MAX_BYTES, array_of, replacing, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
-from slam_gym.types import LARGEST, SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
+from slam_gym.types import LARGEST, SPURIOUS, UNKNOWN_KIND, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 from slam_gym.validation import check_measurements
 
 FORMAT, VERSION = "slam_gym recording", 1
-_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
+_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "kinds", "sources")
 _TEXTS = ("name", "source", "terms")
-_INTEGERS = ("starts", "sources", "landmark_ids")
+_INTEGERS = ("starts", "kinds", "sources", "landmark_ids")
 _NUMBERS = ("range", "field_of_view")
+_UNKNOWN = {"sizes": math.nan, "size_variances": math.nan, "kinds": UNKNOWN_KIND}  # where a field is left out
 _LARGEST_IDENTITY = 1 << 20
 _TOLERANCE = 1e-9  # for asymmetry and negative eigenvalues, relative to the largest entry
 
@@ -65,6 +66,7 @@ class Recording:
     covariances: Array  # (M, 2, 2) [m²] in R
     sizes: Array = None  # type: ignore[assignment]  # (M,) [m] measured intrinsic attribute, NaN where unknown: default
     size_variances: Array = None  # type: ignore[assignment]  # (M,) [m²], NaN where unknown
+    kinds: IntArray = None  # type: ignore[assignment]  # (M,) class from 0, −2 where unknown: default
     sources: IntArray  # (M,) identity ≥ 0 of the feature behind each measurement, see below; −1 spurious, −2 unknown
     reference_times: Array = field(default_factory=lambda: np.empty(0))  # (G,) [s] ascending
     reference_poses: Array = field(default_factory=lambda: np.empty((0, 3)))  # (G, 3) [m, m, rad] in W, see below
@@ -76,8 +78,8 @@ class Recording:
     def __post_init__(self) -> None:
         for name in (array.name for array in fields(self) if array.name not in (*_TEXTS, *_NUMBERS)):
             given = getattr(self, name)
-            unknown = given is None and name in ("sizes", "size_variances")
-            values = np.full(len(self.points), math.nan) if unknown else np.asarray(given)
+            unknown = given is None and name in _UNKNOWN
+            values = np.full(len(self.points), _UNKNOWN[name]) if unknown else np.asarray(given)
             object.__setattr__(self, name, _as_stored(name, values))
         _validate(self)
         if max(self.sources.max(initial=0), self.landmark_ids.max(initial=0)) >= _LARGEST_IDENTITY:
@@ -96,7 +98,7 @@ class Recording:
     def scan(self, step: int) -> Scan:
         """The scan of `step`."""
         rows = slice(self.starts[step], self.starts[step + 1])
-        return Scan(self.points[rows], self.covariances[rows], self.sizes[rows], self.size_variances[rows])
+        return Scan(*(getattr(self, name)[rows] for name in _PER_MEASUREMENT if name != "sources"))
 
     def sources_of(self, step: int) -> IntArray:
         """(m,) identities of the features behind the measurements of `step`."""
@@ -165,7 +167,7 @@ def load(path: str | Path) -> Recording:
         content = zip_members(Path(path))
         if unknown := sorted(set(content) - known - {"format", "version"}):
             raise RecordingError(f"unknown field {unknown[0][:40]!r}")
-        for name in ("format", "version", *sorted(known)):
+        for name in ("format", "version", *sorted(known - {"kinds"})):  # files of earlier releases have no kinds
             if name not in content:
                 raise RecordingError(f"field {name!r} is missing")
         if str(array_of(content["format"], "U")) != FORMAT:
@@ -173,7 +175,7 @@ def load(path: str | Path) -> Recording:
         version = array_of(content["version"], "iu")
         if version.shape != () or version != VERSION:
             raise RecordingError(f"field 'version' is {version}; this release reads version {VERSION}")
-        return Recording(**{name: _field_of(name, content[name]) for name in known})
+        return Recording(**{name: _field_of(name, content[name]) for name in known if name in content})
 
 
 def _field_of(name: str, content: bytes) -> Any:
@@ -231,8 +233,8 @@ def _validate(log: Recording) -> None:
     T, M, G, L = len(log.times), len(log.points), len(log.reference_times), len(log.landmark_ids)
     shapes = {
         "times": (T,), "motions": (T, 3), "motion_covariances": (T, 3, 3), "starts": (T + 1,), "points": (M, 2),
-        "covariances": (M, 2, 2), "sizes": (M,), "size_variances": (M,), "sources": (M,), "reference_times": (G,),
-        "reference_poses": (G, 3), "landmark_ids": (L,), "landmarks": (L, 2),
+        "covariances": (M, 2, 2), "sizes": (M,), "size_variances": (M,), "kinds": (M,), "sources": (M,),
+        "reference_times": (G,), "reference_poses": (G, 3), "landmark_ids": (L,), "landmarks": (L, 2),
     }  # fmt: skip
     for name, shape in shapes.items():
         found = np.shape(getattr(log, name))
@@ -264,6 +266,7 @@ def _validate(log: Recording) -> None:
     _refuse("reference_poses", np.isinf(log.reference_poses[:, 2]), "has an infinite heading")
     _refuse("size_variances", log.size_variances < 0.0, "is negative")
     _refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
+    _refuse("kinds", (log.kinds < 0) & (log.kinds != UNKNOWN_KIND), f"is neither a class from 0 nor {UNKNOWN_KIND}")
     _refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")
     _refuse("landmark_ids", log.landmark_ids < 0, "is negative")
     if len(np.unique(log.landmark_ids)) != L:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from slam_gym.association import check_relocation, marginal, resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
+from slam_gym.association.tracking.marginal import NOTHING_SEEN
 from slam_gym.geometry import compose_jacobians, inverse, observe
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -328,18 +329,18 @@ class Slam:
 
         Nothing has slipped where `marginal` can explain the scan with the given prediction: the associator failed.
         """
-        if not self.tracker.suspects_slip(scan, prediction, marginal(scan, prediction)):
+        if not self.tracker.suspects_slip(scan, prediction, marginal(scan, _understood(prediction))):
             return prediction, hypothesis
         before, Q = self.map, self._odometry.covariance
         self.map = before.copy()
         _, turned = compose_jacobians(inverse(self._odometry.motion), np.zeros(3))  # Q is in R before the motion
         slipped = Odometry(np.zeros(3), (factor - 1.0) * turned @ Q @ turned.T)
         prediction_after = self._predict(slipped, scan, self._most_accidental)
-        after = marginal(scan, prediction_after)
+        after = marginal(scan, _understood(prediction_after))
         if self.tracker.confirms_slip(scan, (prediction, hypothesis), (prediction_after, after)):
             self.tracker.slips += 1
-            weighs_all = hypothesis.experience is not None
-            return prediction_after, after if weighs_all else replace(after, experience=None)
+            experience = after.experience if _is_of_marginal(hypothesis.experience) else hypothesis.experience
+            return prediction_after, replace(after, experience=experience)
         self.map = before
         return prediction, hypothesis
 
@@ -397,6 +398,16 @@ class Slam:
             "offered for pairing, and every scan starts them again; reach=None takes the reach from the scans",
             stacklevel=4,
         )
+
+
+def _is_of_marginal(experience: Experience | None) -> bool:
+    """Whether there is an experience, and of the form of `marginal`; associators of users may have others."""
+    return experience is not None and experience.detections.shape == NOTHING_SEEN.detections.shape
+
+
+def _understood(prediction: Prediction) -> Prediction:
+    """The prediction without an experience that `marginal` does not understand."""
+    return prediction if _is_of_marginal(prediction.experience) else replace(prediction, experience=None)
 
 
 def _farthest(points: Array, covariances: Array, sigmas: float = 3.0) -> float:

@@ -194,12 +194,3 @@ def test_follow_turns_first_slows_down_and_rests():
     beside = follow(np.array([1.0, 0.3, 0.0]), path, *LIMITS)
     mirrored = follow(np.array([1.0, -0.3, 0.0]), path, *LIMITS)
     assert beside[1] < 0 and beside == pytest.approx((mirrored[0], -mirrored[1]))
-
-
-def test_follow_stays_within_the_fractions_whatever_it_is_given():
-    rng = np.random.default_rng(7)
-    for _ in range(500):
-        path = rng.normal(scale=3.0, size=(rng.integers(1, 6), 2))
-        path = np.repeat(path, rng.integers(1, 3), axis=0)  # stretches of no length
-        forward, turn = follow(np.array([*rng.normal(scale=3.0, size=2), rng.uniform(-9, 9)]), path, 0.6, 1.0)
-        assert 0.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0

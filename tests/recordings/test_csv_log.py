@@ -5,6 +5,7 @@ import pytest
 
 from slam_gym import Scan, open_recordings
 from slam_gym.recordings import RecordingError, from_csv, load, save
+from slam_gym.types import UNKNOWN_KIND
 
 HEAD = "time,forward,lateral,turn,x,y\n"
 
@@ -32,13 +33,15 @@ def test_steps_motions_and_measurements_are_read(tmp_path):
 def test_columns_for_deviations_sizes_and_identities_are_used(tmp_path):
     head = "time,forward,lateral,turn,range,bearing,sigma_range,sigma_bearing,sigma_forward,sigma_lateral,sigma_turn"
     text = (
-        f"{head},size,sigma_size,source\n0,1,0,0,5,0.3,0.1,0.02,0.2,0.1,0.05,0.4,0.01,7\n0,,,,6,-1,0.1,0.02,,,,,,-1\n"
+        f"{head},size,sigma_size,kind,source\n"
+        "0,1,0,0,5,0.3,0.1,0.02,0.2,0.1,0.05,0.4,0.01,3,7\n0,,,,6,-1,0.1,0.02,,,,,,,-1\n"
     )
     log = from_csv(written(tmp_path, text), range=20.0, field_of_view=3.0)
     scan = Scan.from_polar([5, 6], [0.3, -1], 0.1, 0.02)
     assert np.allclose(log.points, scan.points) and np.allclose(log.covariances, scan.covariances)
     assert np.allclose(log.motion_covariances[0], np.diag([0.04, 0.01, 0.0025])) and log.sources.tolist() == [7, -1]
     assert log.sizes[0] == 0.4 and np.isnan(log.sizes[1]) and (log.range, log.field_of_view) == (20.0, 3.0)
+    assert log.scan(0).kinds.tolist() == [3, UNKNOWN_KIND]
 
 
 @pytest.mark.parametrize(

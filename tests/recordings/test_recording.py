@@ -7,6 +7,7 @@ import pytest
 
 from slam_gym.recordings import Recording, RecordingError, load, save, write_tum
 from slam_gym.slam.slam import Slam
+from slam_gym.types import UNKNOWN_KIND
 
 
 def by_hand(rng: np.random.Generator | None = None, steps: int = 6) -> dict[str, object]:
@@ -25,6 +26,7 @@ def by_hand(rng: np.random.Generator | None = None, steps: int = 6) -> dict[str,
         "covariances": np.tile(4e-4 * np.eye(2), (4 * steps, 1, 1)),
         "sizes": np.where(np.arange(4 * steps) % 2, 0.3, np.nan),
         "size_variances": np.where(np.arange(4 * steps) % 2, 0.01, np.nan),
+        "kinds": np.tile([2, UNKNOWN_KIND, 0, 2], steps),
         "sources": np.tile([7, 8, 9, 30], steps),
         "reference_times": np.array([0.0, 2.5]),
         "reference_poses": np.array([[0.0, 0.0, np.nan], [1.0, 0.0, 0.0]]),
@@ -98,6 +100,8 @@ def test_what_is_saved_is_loaded(tmp_path) -> None:
     for field in fields(Recording):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(recording, field.name), field.name)
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
+    earlier = load(written(tmp_path / "earlier.npz", kinds=None))  # its release knew no kinds
+    assert (earlier.kinds == UNKNOWN_KIND).all() and earlier.part(1, 3).scan(0).kinds.shape == (4,)
 
 
 def broken(name: str, index, value) -> np.ndarray:
@@ -118,6 +122,7 @@ def broken(name: str, index, value) -> np.ndarray:
         ({"range": np.inf}, "field 'range' is inf"),
         ({"sources": np.zeros(24)}, "field 'sources' has entries of type float64"),
         ({"sources": broken("sources", 5, -3)}, "field 'sources': entry 5 is neither an identity nor -1 nor -2"),
+        ({"kinds": broken("kinds", 5, -1)}, "field 'kinds': entry 5 is neither a class from 0 nor -2"),
         ({"points": np.zeros((24, 3))}, r"field 'points' has shape \(24, 3\), expected \(24, 2\)"),
         ({"sizes": np.zeros(23)}, r"field 'sizes' has shape \(23,\), expected \(24,\)"),
         ({"points": broken("points", (3, 1), np.nan)}, "field 'points': entry 3 is not finite"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.association import jcbb
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -14,7 +15,7 @@ from slam_gym.scenarios import LOG_SETTINGS
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import LOCALITIES, SEARCH, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
+from slam_gym.types import UNPAIRED, Effort, Experience, Odometry, Relocation, Scan
 from tests.slam.test_slam import scan_of
 from tests.slam.test_tracker import AHEAD, FEATURES, doubts, facing, paired
 
@@ -69,7 +70,8 @@ def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pos
 @pytest.mark.parametrize("turn", [0.02, 1.5])
 def test_wheels_that_slip_are_noticed_by_any_associator_and_the_robot_is_where_it_is(turn: float) -> None:
     """In one of eight steps of 0.5 m the wheels slip by 30 σ, mostly ahead, before the robot turns [rad]."""
-    for associator in ("nearest_neighbour", "jcbb", "marginal"):
+    other = Experience(1.0, 1.0, np.zeros(2))  # of a form that `marginal` does not know
+    for associator in ("nearest_neighbour", "jcbb", "marginal", lambda *_: replace(jcbb(*_), experience=other)):
         rng, posts = np.random.default_rng(0), np.random.default_rng(1).uniform(-4.0, 14.0, (60, 2))
         slam, pose = Slam(relocate=lambda *_: None), np.zeros(3)
         for step in range(24):
