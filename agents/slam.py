@@ -74,7 +74,7 @@ def main(
         ax.set_title(f"{recording.name}: {counted(len(table), 'feature')} by {associator}", parse_math=False)
         ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.savefig(files[2])
-        paired = f"{mapped.measurements['paired'].mean():.0%} of the measurements paired"
+        paired = f"{mapped.measurements['paired'].sum()} of {counted(len(mapped.measurements), 'measurement')} paired"
         print(f"{counted(len(table), 'feature')}, {counted(len(slam.maps), 'map')}, {paired}")
         if len(slam.maps) > 1:
             print("the maps are not joined: the robot was lost, or the sigmas are too small")

@@ -48,8 +48,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
     Raises OSError, naming `path`.
     """
-    target = path.resolve()  # a link remains one
-    is_special = target.exists() and not target.is_file()  # a device or a pipe, which is written to
+    is_special = path.exists() and not path.is_file()  # a device or a pipe, which is written to
+    target = path if is_special else Path(os.path.realpath(path))  # a link remains one
     scratch = target if is_special else target.with_name(f".{target.name[:50]}.{os.getpid()}-{threading.get_ident()}")
     try:
         with scratch.open("wb") as file:

@@ -209,10 +209,12 @@ def _check_experience(experience: object) -> None:
         return
     if not isinstance(experience, Experience):
         raise ValueError(f"hypothesis.experience: {type(experience).__name__}, expected an Experience or None")
-    check_array("hypothesis.experience.detections", experience.detections, FLOAT, (len(experience.detections),))
-    for name in ("unpaired", "area", "detections"):
-        if not np.isfinite(getattr(experience, name)).all():
-            raise ValueError(f"hypothesis.experience.{name}: not finite")
+    detections = experience.detections
+    check_array("hypothesis.experience.detections", detections, FLOAT, (np.size(detections),))
+    if not np.isfinite(detections).all():
+        raise ValueError("hypothesis.experience.detections: not finite")
+    for name in ("unpaired", "area"):
+        check_number(f"hypothesis.experience.{name}", getattr(experience, name))
 
 
 def one_of(name: str, value: Any, known: Any) -> None:

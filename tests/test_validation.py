@@ -120,7 +120,8 @@ def test_what_is_no_hypothesis_is_named(answer) -> None:
 
 
 @pytest.mark.parametrize(
-    "experience", ["much", Experience(1.0, math.nan, np.zeros(5)), Experience(1.0, 2.0, np.full(5, np.inf))]
+    "experience",
+    ["much", Experience(1.0, math.nan, np.zeros(5)), Experience(1.0, 2.0, np.full(5, np.inf)), Experience(1, 2, None)],
 )
 def test_what_is_no_experience_is_named(experience) -> None:
     with pytest.raises(ValueError, match=r"hypothesis\.experience"):

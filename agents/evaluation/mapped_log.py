@@ -39,7 +39,8 @@ from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Odometry, Truth
 
 FOLDER = "runs"  # with these files, in the folder of an evaluation
-MAX_GAP, LONG = 1.0, 3.0  # poses are not interpolated between samples farther apart than 1 s and 3 × the median
+MAX_GAP = 1.0  # [s] poses are not interpolated between samples that are farther apart …
+LONG = 3.0  # … and more than so many times the median distance
 DEVIANT = 1.3  # D² of pairings over its degrees of freedom: 1.5 to 1.9 where the sigmas are two thirds of the true ones
 _FEWEST = 3  # instants that are compared: a rigid motion lays two anywhere
 _LEAST_NOISE = 1e-12 * np.eye(3)  # added to the covariance of a motion, which may be zero while the robot rests
@@ -83,8 +84,9 @@ def _during(log: Recording) -> BoolArray:
 
 
 def _close(times: Array, instants: Array) -> BoolArray:
-    """(k,) whether each of `instants` (k,) lies between two of `times` with no gap between them."""
-    longest = max(MAX_GAP, LONG * float(np.median(np.diff(times)))) if len(times) > 1 else MAX_GAP
+    """(k,) whether each of `instants` (k,) lies between two of `times` that are no farther apart than 1 s or, of
+    more than three, `LONG` times their median distance."""
+    longest = max(MAX_GAP, LONG * float(np.median(np.diff(times)))) if len(times) > _FEWEST else MAX_GAP
     padded = np.concatenate([[-np.inf], times, [np.inf]])
     before, after = np.searchsorted(times, instants, side="right"), np.searchsorted(times, instants) + 1
     return padded[after] - padded[before] <= longest
@@ -100,9 +102,7 @@ class MappedLog:
     deviation: float  # D² of all pairings over its degrees of freedom (at least 40), about 1 where sigmas are right
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
-    in_base: (
-        BoolArray  # (T,) whether B is the frame of the covariance: the base of a second map has an error of its own
-    )
+    in_base: BoolArray  # (T,) whether the covariance is in B: the base of a second map has an error of its own
     measurements: pd.DataFrame  # M rows: source; whether paired; final id of the feature, and its source
     features: pd.DataFrame  # of the final map, oldest first: the columns of its file except the aligned position
     tally: Tally
@@ -137,7 +137,8 @@ def map_log(
         seconds = time.perf_counter() - began
         doubted = slam.doubted and len(scan) > 0
         fit = step.hypothesis.joint_distance, step.hypothesis.dof
-        pose = slam.map.pose, slam.map.pose_covariance, len(slam.maps) == 1
+        is_base = len(slam.maps) == 1 and not (slam.atlas is not None and slam.atlas.has_dropped)
+        pose = slam.map.pose, slam.map.pose_covariance, is_base
         steps.append((*pose, step.ids, step.created, doubted, fit, seconds))
     poses, covariances, in_base, ids, created, doubts, fits, times = zip(*steps)
     feature, identities, m = np.concatenate(ids), judged.identities, slam.map

@@ -163,7 +163,9 @@ def _read(folder: Path) -> Results | None:
     with undamaged(folder / METADATA):
         metadata: dict[str, Any] = json_of(content_of(folder / METADATA))
         wrong = [name for name, kind in _TYPES.items() if not isinstance(metadata[name], kind)]
-        wrong += ["models" for known in metadata.get("models", {}).values() if "sha256" not in known]
+        models = metadata.get("models", {})
+        if not (isinstance(models, dict) and all(isinstance(m, dict) and "sha256" in m for m in models.values())):
+            wrong.append("models")
         if wrong or metadata["kind"] not in KINDS:
             raise ValueError(f"{(wrong or ['kind'])[0]} is not what an evaluation writes")
     if not (folder / TABLE).exists():

@@ -68,12 +68,15 @@ class EntryProcess:
         return EntryError(f"{' '.join(self._entry)}: {shown}")
 
     def close(self) -> None:
-        """End the process and what it has started."""
+        """End the process and what it has started in its session."""
         process, self._process = self._process, None
         if process is None:
             return
         with contextlib.suppress(OSError):  # it has ended, and nothing of its session is left
-            os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
+            if hasattr(os, "killpg"):
+                os.killpg(process.pid, signal.SIGKILL)
+            else:
+                process.kill()
         if process.returncode is None:
             self._loop.run_until_complete(asyncio.wait([self._loop.create_task(process.wait())], timeout=5.0))
 

@@ -46,8 +46,10 @@ def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> None:
     F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
     Raises ValueError, with nothing changed, where u is not finite or above `LARGEST`, or Q is no covariance.
     """
-    moved, variance = abs(motion[0]) + abs(motion[1]) + abs(motion[2]), Q[0, 0] + Q[1, 1] + Q[2, 2]
-    if not (moved <= LARGEST and variance <= LARGEST * LARGEST and is_covariance(Q)):
+    is_possible = is_covariance(Q)
+    for i in range(3):
+        is_possible &= abs(motion[i]) <= LARGEST and Q[i, i] <= LARGEST * LARGEST
+    if not is_possible:
         raise ValueError("odometry: not finite, above 1e9 m, or its covariance is not positive semi-definite")
     c, s = math.cos(x[2]), math.sin(x[2])
     x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
@@ -144,7 +146,8 @@ def sector_of(x: Array, feature: int) -> int:
 @compiled
 def check_measurement(points: Array, covariances: Array, i: int) -> None:
     """Raise ValueError unless measurement i is finite, with a valid covariance."""
-    if not (abs(points[i, 0]) + abs(points[i, 1]) <= LARGEST and is_covariance(covariances[i])):
+    is_near = abs(points[i, 0]) <= LARGEST and abs(points[i, 1]) <= LARGEST
+    if not (is_near and is_covariance(covariances[i])):
         raise ValueError(f"scan: measurement {i} is not finite, or its covariance is invalid")
 
 

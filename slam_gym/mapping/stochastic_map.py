@@ -414,21 +414,25 @@ class StochasticMap:
 
 def check_contents(m: StochasticMap, covariance: Array) -> None:
     """Raise ValueError where ids are not unique and below the next one, steps or sightings are impossible, a coordinate
-    is too large, a size or its variance is none, or the covariance that was read is not symmetric or has
-    |P_ij| > σ_i σ_j."""
+    is too large, a size is infinite or its variance negative, or the covariance that was read is not symmetric, has
+    |P_ij| > σ_i σ_j or is indefinite."""
     ids, variances, diagonal, first, last = m.ids, m.size_variances, covariance.diagonal(), m.first_seen, m.last_seen
     counts = 0 <= m.step < _MOST and m.next_id < _MOST and len(np.unique(ids)) == m.n
     if not (counts and ((ids >= 0) & (ids < m.next_id)).all()):
         raise ValueError("counted, step, next_id: not those of a map")
     if not ((m.seen >= 1) & (first >= 0) & (first <= last) & (last <= m.step) & (m.kinds >= UNKNOWN_KIND)).all():
         raise ValueError("counted: not that of a map")
-    if not (np.abs(m.mean) <= LARGEST).all() or (m.sizes < 0.0).any() or np.isinf(m.sizes).any():
-        raise ValueError("mean, sized: a coordinate is above 1e9 m, or a size is none")
+    if not (np.abs(m.mean) <= LARGEST).all() or np.isinf(m.sizes).any():
+        raise ValueError("mean, sized: a coordinate is above 1e9 m, or a size is infinite")
     sigmas = np.sqrt(np.maximum(diagonal, 0.0))
     greatest = (1.0 + _ROUNDING) * np.outer(sigmas, sigmas) + _ROUNDING * diagonal.max()
     if (diagonal < 0.0).any() or not np.allclose(covariance, covariance.T) or (np.abs(covariance) > greatest).any():
         raise ValueError("covariance: is none")
-    np.linalg.cholesky(covariance + _SLACK * diagonal.sum() * np.eye(len(covariance)))  # raises where it is indefinite
+    slack = _SLACK * diagonal.sum() + 1e-300  # of a robot that has not moved all is zero
+    try:
+        np.linalg.cholesky(covariance + slack * np.eye(len(covariance)))
+    except np.linalg.LinAlgError:
+        raise ValueError("covariance: is indefinite") from None
     if (variances < 0.0).any():
         raise ValueError("sized: a variance is negative")
 

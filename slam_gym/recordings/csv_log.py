@@ -142,6 +142,7 @@ def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int])
         "column 'range' is not above 0": table.get("range", np.ones(1)) <= 0.0,
         "column 'size' is negative": table.get("size", np.zeros(1)) < 0.0,
     }
+    refused["column 'kind' is -1; a class that is unknown is -2 or an empty cell"] = integers["kind"] == -1.0
     for name, column in integers.items():
         refused[f"column {name!r} is no integer"] = ~np.isnan(column) & (column != np.round(column))
         refused[f"column {name!r} is below -2"] = column < -2.0

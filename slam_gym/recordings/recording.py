@@ -151,6 +151,8 @@ def save(recording: Recording, path: str | Path) -> None:
     """Write a recording to `path` (.npz, no pickles), atomically. Raises RecordingError for more than `load` reads."""
     target = Path(path)
     arrays: dict[str, Any] = {field.name: np.asarray(getattr(recording, field.name)) for field in fields(recording)}
+    if (recording.kinds == UNKNOWN_KIND).all():  # then earlier releases can read the file
+        del arrays["kinds"]
     if sum(array.nbytes + 1024 for array in arrays.values()) > MAX_BYTES:  # with the heads of its members
         raise RecordingError(f"{path}: {len(recording.points)} measurements are more than {MAX_BYTES >> 20} MB")
     with replacing(target) as file:

@@ -82,6 +82,7 @@ class Atlas:
         self.spec = spec
         self.inactive: list[MappedArea] = []  # not joined yet, oldest first
         self.fusions: list[FusionRecord] = []
+        self.has_dropped = False  # whether a map was dropped, so that nobody knows where later ones are in B
         self._relocate = relocate
         self._search_everywhere = False  # whether the next search for duplicates covers the whole map
         self._searched: IntArray = np.empty(0, np.int64)  # ids of the recent part that was last searched for
@@ -95,6 +96,8 @@ class Atlas:
         """An empty map to go on in. The map `m` becomes inactive, or is dropped if it is too small to be recognised."""
         if int((~m.provisional).sum()) >= self.spec.recognition.min_pairs:
             self.inactive.append(MappedArea(m, graph))
+        else:
+            self.has_dropped = True
         fresh = m.successor()
         fresh.place(m.pose, np.zeros((3, 3)))
         return fresh

@@ -21,7 +21,8 @@ UNKNOWN_KIND = -2
 def check_array(name: str, value: object, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
     """Raise ValueError unless `value` is an array of this type and shape."""
     if not isinstance(value, np.ndarray) or isinstance(value, _SPECIAL) or value.dtype != dtype:
-        actual = value.dtype if type(value) is np.ndarray else type(value).__name__
+        is_special = not isinstance(value, np.ndarray) or isinstance(value, _SPECIAL)
+        actual = type(value).__name__ if is_special else value.dtype  # type: ignore[attr-defined]
         raise ValueError(
             f"{name}: {actual}, expected an array of {dtype} (the class methods from_… convert other types)"
         )
@@ -103,6 +104,7 @@ def sizes_of(sizes: ArrayLike | None, sigma: ArrayLike | None, m: int) -> tuple[
 def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
     if kinds is None:
         return np.full(m, UNKNOWN_KIND)
+    _refuse_special("kinds", kinds)
     array = np.array(kinds, np.int64 if m == 0 and np.size(kinds) == 0 else None)
     if array.shape != (m,) or not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f"kinds: {array.dtype} of shape {array.shape}, expected ({m},) integers")

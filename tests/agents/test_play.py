@@ -7,13 +7,10 @@ import pytest
 
 from agents.evaluation.episodes import ExploreArguments
 from agents.play import Controls, Game, app, play
-from slam_gym.types import UNPAIRED
 from tests.agents import typed
-from tests.rollouts import relocate
 
 pygame = pytest.importorskip("pygame")
 DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
-SMALL = ExploreArguments("office-small", split="train")
 
 
 class Script(Controls):
@@ -95,15 +92,3 @@ def test_an_agent_is_watched():
     line = ["--scenario", "office-small", "--associator", "true_association", "--steps", "3"]
     result = typed(app, *line, "--agent", f"{__name__}:Spinner")
     assert result.exit_code == 0 and "spinner" in result.output and "no display" in result.output
-
-
-# -- what a player has at hand -----------------------------------------------------------------------------------------
-
-
-def test_a_search_finds_nothing_while_it_is_off():
-    env, game = relocate(outside=0.0), Game(SMALL, None, None, deque(), relocating=False)
-    env.reset(seed=0)
-    problem = env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility")
-    assert not game.relocate(*problem).accepted and (game.relocate(*problem).features == UNPAIRED).all()
-    game.relocating = True
-    assert game.relocate(*problem).pairings > 2

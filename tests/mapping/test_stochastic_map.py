@@ -283,6 +283,8 @@ def test_a_saved_map_comes_back_as_it_was(tmp_path: Path) -> None:
     m.end_of_step()
     m.save(tmp_path / "map.npz")
     back = StochasticMap.load(tmp_path / "map.npz")
+    StochasticMap().save(tmp_path / "empty.npz")
+    assert StochasticMap.load(tmp_path / "empty.npz").n == 0
     assert back.spec == m.spec and (back.n, back.step, back.next_id) == (m.n, m.step, m.next_id)
     for name in ("mean", "covariance", "counted", "sized"):
         np.testing.assert_array_equal(getattr(back.state, name), getattr(m.state, name))
@@ -314,7 +316,7 @@ def test_a_file_that_holds_no_map_is_named(tmp_path: Path, content: bytes) -> No
     ):
         m.save(tmp_path / "map.npz")
         np.savez(tmp_path / "map.npz", **{**np.load(tmp_path / "map.npz"), name: damaged})
-        with pytest.raises(ValueError, match=rf"map\.npz: no map .*({name}|positive definite)"):
+        with pytest.raises(ValueError, match=rf"map\.npz: no map .*{name}"):
             StochasticMap.load(tmp_path / "map.npz")
 
 

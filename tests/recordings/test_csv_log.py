@@ -57,6 +57,7 @@ def test_columns_for_deviations_sizes_and_identities_are_used(tmp_path):
         (HEAD + "0,0,0,inf,1,1\n", "line 2: column 'turn': 'inf' is not finite"),
         (HEAD + "0,0,0,0,nan,nan\n", "line 2: column 'x': 'nan' is not finite; a cell without a number is empty"),
         (HEAD + "0,0,0,0,1_0,1\n", "line 2: column 'x': '1_0' is no number"),
+        (HEAD.strip() + ",kind\n0,0,0,0,1,1,-1\n", "line 2: column 'kind' is -1"),
         (HEAD.strip() + ",x\n", "a column is there twice"),
         (HEAD.replace("x,y", "range,bearing") + "0,0,0,0,1,1\n1,0,0,0,0,1\n", "line 3: column 'range' is not above 0"),
         (HEAD.replace("x,y", "range,bearing") + "0,0,0,0,1,50\n", "line 2: column 'bearing' [rad] is more than a turn"),

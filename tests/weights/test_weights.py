@@ -49,6 +49,13 @@ def test_weights_for_something_else_are_refused(path, version, inputs, shapes, m
         load(path, version, inputs, shapes)
 
 
+def test_writing_through_a_link_leaves_it_one_and_keeps_the_permissions(path, tmp_path) -> None:
+    path.chmod(0o600)
+    (tmp_path / "link.npz").symlink_to(path)
+    write(tmp_path / "link.npz", some())
+    assert (tmp_path / "link.npz").is_symlink() and path.stat().st_mode & 0o777 == 0o600
+
+
 @pytest.mark.parametrize("wrong", [{"inputs": [[1], {}]}, {"inputs": [1, "a"]}, {"version": "2"}])
 def test_a_card_with_other_types_is_refused(path, wrong) -> None:
     card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))

@@ -88,6 +88,7 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
         assert record["loss"] == LOST and said in record["failed"] and name in record["failed"]
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
 def test_what_an_entry_has_started_ends_with_it(monkeypatch, started, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setenv("LEFT", str(tmp_path / "pipe"))
