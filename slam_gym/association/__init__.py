@@ -103,7 +103,7 @@ def resolve_relocator(relocator: str | Relocator) -> Relocator:
 
 def check_relocation(answer: Relocation, measurements: int, features: int) -> Relocation:
     """The answer of a relocator for so many measurements and features. Raises ValueError, telling what is wrong with
-    it: its type, its pairings or, if they are accepted, its pose or covariance."""
+    it: its type, its pairings, how many it requires or, if they are accepted, its pose or covariance."""
     if not isinstance(answer, Relocation):
         raise ValueError(f"returned {type(answer).__name__}, not a Relocation")
     check_hypothesis(Hypothesis(answer.features, 0.0, 0), measurements, features)

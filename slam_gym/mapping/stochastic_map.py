@@ -228,7 +228,8 @@ class StochasticMap:
         """Put the robot at `pose` (3,) with `covariance` (3, 3), without correlation with the features.
 
         For relocation: place the robot with an uninformative covariance, then `update` with the pairings found.
-        Raises ValueError, before the map is changed, where the pose is not finite or the covariance is invalid.
+        Raises ValueError, before the map is changed, where the pose is not finite or beyond 1e9 m, or the covariance is
+        invalid.
         """
         x, P = checked_pose(pose, covariance)
         self.moved()

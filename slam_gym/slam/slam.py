@@ -347,7 +347,7 @@ class Slam:
     def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
         """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
         check_relocation(found, len(scan), self.map.n)
-        checked_pose(found.pose, found.covariance)
+        checked_pose(found.pose, found.covariance)  # also of an answer that is not accepted
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, UNKNOWN_POSE * max(1.0, *np.diag(found.covariance)[:2]))
